@@ -27,6 +27,7 @@ from hugs_cli.studies.comparison import SEEDED
 SEED = re.compile(r"seed([0-9]{1,19})")
 MAX_SEED = 2**63 - 1  # torch takes up to 2**64 - 1, and studies count up from the seed given
 PIPELINE = re.compile(r"(?!store$)[a-z][a-z0-9_]*(\.[a-z0-9_]+)*")  # names of its folder
+EVERYBODY = "all"  # as the person of masks
 LARGEST = 100_000  # bytes of kept options
 CODE_MEMORY = ".code.json"  # in the work folder; see fingerprint.Code
 
@@ -100,6 +101,18 @@ class Kept:
     )
     smpl_fit: Annotated[Path | None, Option(help="Body poses to import: the file or folder of another tool.")] = None
     body_model: BodyModel = None
+    height: Annotated[
+        list[str] | None,
+        Option(
+            metavar="LENGTH", help="How tall, barefoot: 1.85, 185cm, 6ft1. Once for each person in order, or 2=1.70."
+        ),
+    ] = None
+    scale: Annotated[
+        str | None,
+        Option(
+            metavar="SHOWN=TRUE", help="A length as the page measures it, and in metres; `cameras`: theirs are metres."
+        ),
+    ] = None
     seed: Seed = None
 
     def values(self) -> dict[str, Any]:
@@ -123,11 +136,14 @@ class RunOptions(Kept):
         Also names the results of other commands: `default.10m` of `--within 10m`, `default.seed1` of `hugs ablate`.
         """
         pipeline = self.pipeline or "default"
-        chosen = () if self.person is None else (("masks", "person", self.person),)
+        chosen: list[pipelines.Override] = [("masks", "person", self.person)] if self.person is not None else []
+        chosen += [("smpl", "height", self.height)] if self.height else []
+        chosen += [("smpl", "scale", self.scale)] if self.scale is not None else []
         base, dot, last = pipeline.rpartition(".")
         within_time, seeded = bool(dot) and within.is_time(last), SEED.fullmatch(last) if dot else None
         overrides = (*(self.set_ or ()), *chosen)
         loaded = pipelines.load(base if within_time or seeded else pipeline, overrides, self.pipelines_file)
+        self._check_lengths(loaded)
         sources = {
             "video": video,
             "mask_files": self.masks,
@@ -141,6 +157,16 @@ class RunOptions(Kept):
         place, code = Workspace(video, self.work, pipeline), Code(self.work / CODE_MEMORY)
         session = Session(place, loaded, sources, self.seed or 0, code, seeds, self.values())
         return within.last_promise(session, last) if within_time else session
+
+    def _check_lengths(self, pipeline: pipelines.Pipeline) -> None:
+        """UsageError for the height of somebody whom nobody follows, and for the unit of cameras that nobody gives."""
+        settings = {name: stage.settings() for name, stage in pipeline.stages.items()}
+        size, masks = settings.get("smpl", {}), settings.get("masks", {})
+        if masks.get("person") != EVERYBODY and (others := [who for who in size.get("height") or () if int(who) > 1]):
+            hint = "`--person all` makes an avatar of each; who is followed alone is person 1"
+            raise UsageError(f"a height is given of person {others[0]}, and one person is followed", hint)
+        if size.get("scale") == "cameras" and not self.cameras and "cameras" in pipeline.stages["sfm"].needs:
+            raise UsageError("--scale cameras is of cameras that are given", "give them with `--cameras PATH`")
 
     def of_last_run(self, video: Path, console: Console) -> RunOptions:
         """With the options of the pipeline's last run, where no others are given; a line says which those are."""

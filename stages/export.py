@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
@@ -15,7 +15,7 @@ from stages.contract import Job, StageError
 from stages.formats.exchange.limits import held, unmarked
 from stages.formats.exchange.vrm_meta import VrmMeta
 from stages.formats.facts import Listing, read_facts
-from stages.formats.people import folder_of, people_of
+from stages.formats.people import folder_of, job_of, people_of
 
 if TYPE_CHECKING:
     from stages.avatar.motion.placing import Soles
@@ -86,7 +86,7 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
     cast: list[tuple[Avatar, Rig, Soles]] = []
     for person in people:
         there, out = folder_of(train, person), folder_of(job.out, person)
-        own = job if len(people) == 1 else _of_person(job, person, out)
+        own = job if len(people) == 1 else replace(job_of(job, person), out=out)
         own.out.mkdir(parents=True, exist_ok=True)
         avatar = read_avatar(there / "avatar.npz")
         shutil.copyfile(there / "avatar.npz", own.out / "avatar.npz")
@@ -109,15 +109,6 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
     _lacks(job, params, [avatar for avatar, *_ in cast], scene, shaded)
     if "viewer" in formats:
         _viewer(job, clip_page(frames, sfm, smpl, train, cast, scene, ground))
-
-
-def _of_person(job: Job, person: int, out: Path) -> Job:
-    """The job of one of several people: what it says begins with whom it is about."""
-
-    def emit(event: dict[str, Any]) -> None:
-        job.emit(event | {"text": f"person {person}: {event['text']}"} if "text" in event else event)
-
-    return replace(job, out=out, emit=emit)
 
 
 def _still(job: Job, params: Params, avatar: Avatar, scene: Scene | None, soles: Soles, ground: Ground) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -94,6 +94,13 @@ class BodyModel:
     keypoint_regressor: np.ndarray | None = None
     keypoint_names: tuple[str, ...] | None = None
     name: str = ""
+
+    def sized(self, factor: float) -> BodyModel:
+        """The same body `factor` times as large."""
+        size = np.float32(factor)
+        return replace(
+            self, v_template=self.v_template * size, shapedirs=self.shapedirs * size, posedirs=self.posedirs * size
+        )
 
     def landmark_regressor(self) -> tuple[tuple[str, ...], np.ndarray]:
         """Names and matrix [K,V]: landmarks = matrix @ vertices, on posed vertices too.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,8 @@ from stages import contract
 from stages.contract import Job, StageError
 from stages.estimators.words import listed
 from stages.formats.facts import Listing, read_facts, write_facts
-from stages.formats.people import folder_of, people_of
+from stages.formats.lengths import Heights, Scale
+from stages.formats.people import folder_of, job_of, people_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -22,13 +22,11 @@ if TYPE_CHECKING:
     from stages.estimators.bodyfit.evidence import LandmarkEvidence
     from stages.estimators.bodyfit.fit import BodyFit
     from stages.estimators.bodyfit.inputs import Inputs
-    from stages.estimators.bodyfit.quality import FitQuality
-    from stages.records import BodyModel, BodyPoses, Ground, SeenLandmarks
+    from stages.estimators.bodyfit.metre import Metre
+    from stages.estimators.bodyfit.reporting import Fitted
+    from stages.records import BodyPoses, SeenLandmarks
 
 LOADS = contract.ADAM
-STOCKY, EXTREME_BETA = (1.4, 2.15), 5.0  # m; a stature or shape outside these is worth a warning
-FLOOR_SPREAD = 0.05  # of the scale, between the frames that agree on it best
-BETTER = "look at them in the report; `--smpl-fit` takes a better fit"
 OVERLAP_LEAST = 0.5  # mean overlap of an imported body's hull and the mask's below which it is doubtful
 JOINTS_OFF = 0.05  # of the person's height, from the joints that the tool itself drew
 SEEN_LEAST = 0.1  # share of the frames that must show a person
@@ -37,6 +35,10 @@ SEEN_LEAST = 0.1  # share of the frames that must show a person
 class Params(contract.Params):
     doubtful: float = Field(0.5, ge=0, le=1)
     """Confidence below which a frame's pose is listed as doubtful."""
+    height: Heights = None
+    """How tall people are, barefoot: 1.85, 185cm or 6ft1; of several in their order, or some by number: [2=1.70]."""
+    scale: Scale = None
+    """A length that the page measures and its true one, 2.31=2.00; or cameras: those given are in metres."""
 
 
 def check(params: Params, *, video: Path, smpl_fit: Path | None = None, body_model: Path | None = None) -> None:
@@ -55,26 +57,43 @@ def run(
     Frames without a person are filled in between their neighbours with confidence 0. Of further people body.npz, smpl.json and
     landmarks.npz are in people/2 and so on, in the world of the first. Raises StageError if nearly no frame shows a person.
     """
+    import numpy as np
+
+    from stages.estimators.bodyfit.floor import floor_of
     from stages.estimators.bodyfit.inputs import of_person, read_inputs
+    from stages.estimators.bodyfit.metre import find_metre, stature_of
+    from stages.estimators.bodyfit.reporting import report_ground
     from stages.formats.body_model import write_body_model
     from stages.formats.datasets.capture import given_by
     from stages.formats.ground import write_ground
 
-    listing = read_facts(frames / "frames.json", Listing)
-    clip = read_inputs(listing, sfm, body_model)
+    clip = read_inputs(read_facts(frames / "frames.json", Listing), sfm, body_model)
     smpl_fit = smpl_fit or given_by(frames, "smpl_fit.npz")
-    write_body_model(job.out / "body_model.npz", clip.model)
-    people = people_of(sfm)
-    found: list[BodyPoses] = []
-    for person in people:
-        folder = folder_of(job.out, person)
-        folder.mkdir(parents=True, exist_ok=True)
+    people, heights = people_of(sfm), params.height or {}
+    fits: list[Fitted] = []
+    statures: list[float] = []
+    jobs = [job if len(people) == 1 else job_of(job, person) for person in people]
+    for person, own in zip(people, jobs, strict=True):
+        folder_of(job.out, person).mkdir(parents=True, exist_ok=True)
         one = clip if len(people) == 1 else of_person(clip, sfm, person)
-        if len(people) > 1:
-            job.note(f"person {person}:")
-        found.append(fit_person(job, params, folder, sfm, one, smpl_fit, found[0] if found else None))
-    check_apart(found, smpl_fit)
-    ground = floor_of(clip, *found)
+        if fits and not smpl_fit and {1, person} <= set(heights):  # in the metre of the first, as tall from the start
+            tall = statures[0] * heights[person] / heights[1]
+            one = replace(one, model=clip.model.sized(tall / float(np.ptp(clip.model.v_template[:, 1]))))
+        metres = fits[0].poses.world_from_sfm if fits else None
+        fits.append(fit_person(own, folder_of(job.out, person), sfm, one, smpl_fit, metres))
+        statures.append(stature_of(fits[-1].model, fits[-1].poses))
+    check_apart([fit.poses for fit in fits], smpl_fit)
+    metre = find_metre(statures, fits[0].poses.world_from_sfm, clip.moving, heights, params.scale)
+    if metre.given:
+        world = metre.factors[0] * fits[0].poses.world_from_sfm
+        fits = [in_metres(fit, k, world, clip) for fit, k in zip(fits, metre.factors, strict=True)]
+    for person, own, fit, stature in zip(people, jobs, fits, statures, strict=True):
+        if person == 1 or fit.model is not fits[0].model:
+            write_body_model(folder_of(job.out, person) / "body_model.npz", fit.model)
+        write_person(own, params, folder_of(job.out, person), fit, metre, stature)
+    for doubt in metre.doubts:
+        job.warn(doubt)
+    ground = floor_of(clip, *((fit.model, fit.poses) for fit in fits))
     write_ground(job.out / "ground.json", ground)
     report_ground(job, ground)
 
@@ -90,20 +109,11 @@ def check_apart(found: list[BodyPoses], smpl_fit: Path | None) -> None:
                 raise StageError(f"{smpl_fit.name} has one person for persons {a + 1} and {b + 1} of the masks", hint)
 
 
-def fit_person(
-    job: Job,
-    params: Params,
-    folder: Path,
-    sfm: Path,
-    clip: Inputs,
-    smpl_fit: Path | None,
-    first: BodyPoses | None,
-) -> BodyPoses:
-    """The poses of one person, in the world of the `first` if there are several; writes and reports them."""
+def fit_person(job: Job, folder: Path, sfm: Path, clip: Inputs, smpl_fit: Path | None, metres: float | None) -> Fitted:
+    """The fit of one person, in the world of the first, of `metres` per SfM unit, if there are several."""
     from stages.estimators.bodyfit.quality import measure_quality
-    from stages.formats.poses import write_poses
+    from stages.estimators.bodyfit.reporting import Fitted
 
-    metres = None if first is None else first.world_from_sfm
     if smpl_fit is not None:
         poses, facts = import_poses(job, smpl_fit, clip, metres)
         quality = measure_quality(poses, clip.model, clip.cameras, clip.times, clip.clear)
@@ -114,12 +124,35 @@ def fit_person(
     poses = replace(poses, confidence=quality.confidence)
     if metres is not None:  # it was held, but for rounding
         poses = replace(poses, world_from_sfm=metres)
-    write_poses(folder / "body.npz", poses)
-    warn_of_scale(job, facts["scale"])
-    report(job, params, poses, clip.model, quality)
-    facts = {**facts, **summary(params, poses, clip.model, quality)}
-    write_facts(folder / "smpl.json", facts)
-    return poses
+    return Fitted(clip.model, poses, quality, facts)
+
+
+def in_metres(fit: Fitted, factor: float, world: float, clip: Inputs) -> Fitted:
+    """The fit `factor` times as large, in a world of `world` m per SfM unit, with all of its lengths."""
+    from stages.estimators.bodyfit.metre import resized
+
+    model, poses = resized(fit.model, fit.poses, factor, world, clip.cameras.centers.mean(0))
+    scale, facts = fit.facts["scale"], dict(fit.facts)
+    lengths = scale.keys() & {"initial", "from_still_feet", "floor_refused", "world_from_sfm"}
+    facts["scale"] = scale | {name: factor * scale[name] for name in lengths}
+    if errors := facts.get("expected_error_mm"):
+        facts["expected_error_mm"] = {
+            name: {way: [round(factor * mm) for mm in each] for way, each in frame.items()}
+            for name, frame in errors.items()
+        }
+    return replace(fit, model=model, poses=poses, facts=facts)
+
+
+def write_person(job: Job, params: Params, folder: Path, fit: Fitted, metre: Metre, looks: float) -> None:
+    """Write body.npz and smpl.json of a person and report them, who `looks` so many m tall as long as no length is given."""
+    from stages.estimators.bodyfit.reporting import report, summary, warn_of_scale
+    from stages.formats.poses import write_poses
+
+    write_poses(folder / "body.npz", fit.poses)
+    warn_of_scale(job, fit.facts["scale"])
+    report(job, params.doubtful, fit, metre, looks)
+    size = {"how": metre.how, "error": metre.error, "times_fit": metre.factors[0], "stature_of_fit_m": round(looks, 4)}
+    write_facts(folder / "smpl.json", {**fit.facts, **summary(params.doubtful, fit), "metre": size})
 
 
 def import_poses(job: Job, smpl_fit: Path, clip: Inputs, metres: float | None) -> tuple[BodyPoses, dict[str, Any]]:
@@ -158,6 +191,7 @@ def estimate_poses(
     """
     from stages.estimators.bodyfit.evidence import drop_cut, drop_strangers, gather, model_landmarks, vote_sides
     from stages.estimators.bodyfit.fit import fit_body
+    from stages.estimators.bodyfit.reporting import count_names, known, select
     from stages.formats.images import read_image
     from stages.formats.landmarks import write_landmarks
 
@@ -226,125 +260,3 @@ def follow(sfm: Path, clip: Inputs, images: Sequence[np.ndarray]) -> Sequence[Se
         return track_masked(network, images, clip.masks, clip.others)
     masked = [i for i, mask in enumerate(clip.masks) if (mask > 127).any()]
     return network.track(images, pick_masked(network.sightings(images, masked), clip.masks))
-
-
-def select(names: Sequence[str], chosen: np.ndarray) -> list[str]:
-    """The names where `chosen` bool [F] is true."""
-    return [name for name, taken in zip(names, chosen, strict=True) if taken]
-
-
-def warn_of_scale(job: Job, scale: dict[str, Any]) -> None:
-    """Warn where the size of the person against the scene is hardly known, the plane below the feet is not theirs, or it slopes."""
-    if "floor_refused" in scale:
-        plane = f"{scale['floor_refused']:.3g} m per SfM unit, differing by {100 * scale['floor_spread']:.0f} %"
-        job.warn(
-            f"the person does not stand on the plane below their feet in the picture: it gives {plane}, the standing feet"
-            f" give {scale['initial']:.3g}; is there a table, a stage, stairs, a jump or a moving board?"
-        )
-    if (slope := scale.get("floor_slope_degrees")) is not None:
-        job.warn(f"the floor slopes by about {slope:.0f} degrees: upright is taken from camera and person instead")
-    if scale["how"].startswith("not found"):
-        job.warn("the person's scale in the scene is unknown: no floor below the feet and no standing foot was found")
-    elif "floor_refused" not in scale and scale.get("floor_spread", 0) > FLOOR_SPREAD:
-        job.warn(f"the feet meet the floor at scales that differ by {100 * scale['floor_spread']:.0f} %")
-
-
-def report(job: Job, params: Params, poses: BodyPoses, model: BodyModel, quality: FitQuality) -> None:
-    """Note how large the body is and how well it fits; warn of doubtful poses, jumps and unusual shapes."""
-    import numpy as np
-
-    stature = stature_of(model, poses)
-    doubtful = select(poses.names, quality.confidence < params.doubtful)
-    error, iou = mean_known(quality.error_px), mean_known(quality.iou)
-    parts = [f"body {stature:.2f} m tall, {poses.world_from_sfm:.4g} m per SfM unit"]
-    parts += [f"landmarks {error:.1f} px off"] if error is not None else []
-    parts += [f"outline IoU {iou:.2f}"] if iou is not None else []
-    job.note(", ".join(parts))
-    if doubtful:
-        job.warn(f"the body's pose is doubtful in {count_names(doubtful)}: {BETTER}")
-    if fast := fast_frames(poses, quality):
-        job.warn(f"the body jumps at {count_names(fast)}: {BETTER}")
-    if not STOCKY[0] < stature < STOCKY[1] or np.abs(poses.betas).max() > EXTREME_BETA:
-        job.warn(f"an unusual shape: {stature:.2f} m tall, betas up to {np.abs(poses.betas).max():.1f}")
-
-
-def floor_of(clip: Inputs, *people: BodyPoses) -> Ground:
-    """The floor under the placed bodies, from SfM's points and the soles of the frames that show somebody."""
-    import numpy as np
-    from scipy.spatial.transform import Rotation
-
-    from stages.avatar.cameras.pinhole import rescale_viewmats
-    from stages.avatar.motion.placing import Soles
-    from stages.estimators.ground import find_ground
-
-    turns, points, stood = [], [], []
-    for poses in people:
-        seen = poses.confidence > 0
-        if not seen.any():
-            seen = ~seen
-        turns.append(Rotation.from_rotvec(poses.global_orient[seen]).as_matrix())
-        soles = Soles.of_model(clip.model, poses.betas)
-        feet, joints = soles.at(poses.global_orient[seen], poses.body_pose[seen], poses.transl[seen])
-        points.append(feet)
-        stood.append((joints[len(joints) // 2, 0], turns[-1][len(joints) // 2]))
-    most = max(feet.shape[1] for feet in points)  # a body's shape decides how many points its soles have
-    all_feet = np.concatenate([np.pad(feet, ((0, 0), (0, most - feet.shape[1]), (0, 0)), "edge") for feet in points])
-    metres = people[0].world_from_sfm
-    viewmats = rescale_viewmats(clip.cameras.viewmats, metres)
-    return find_ground(clip.points * metres, all_feet, np.concatenate(turns), *stood[0], viewmats, metres)
-
-
-def report_ground(job: Job, ground: Ground) -> None:
-    """Note how sure the floor is; warn where it is guessed."""
-    sure = f"within {100 * ground.height_error:.1f} cm and {math.degrees(ground.tilt_error):.1f} degrees"
-    if ground.points:
-        job.note(f"floor: {ground.points} points of the scene lie in it, {sure}")
-    else:
-        job.warn(f"no floor is found in the scene under the person: it is guessed from the bodies, {sure}")
-
-
-def summary(params: Params, poses: BodyPoses, model: BodyModel, quality: FitQuality) -> dict[str, Any]:
-    """What smpl.json says about the result."""
-    each = zip(poses.names, quality.error_px, quality.iou, quality.confidence, strict=True)
-    return {
-        "body_model": model.name,
-        "world_from_sfm": poses.world_from_sfm,
-        "stature_m": round(stature_of(model, poses), 4),
-        "betas": [round(float(b), 4) for b in poses.betas],
-        "mean_error_px": mean_known(quality.error_px),
-        "mean_iou": mean_known(quality.iou),
-        "doubtful": select(poses.names, quality.confidence < params.doubtful),
-        "fast": fast_frames(poses, quality),
-        "frames": {n: {"error_px": known(e), "iou": known(u), "confidence": known(c)} for n, e, u, c in each},
-    }
-
-
-def stature_of(model: BodyModel, poses: BodyPoses) -> float:
-    """Height in m of the body at rest."""
-    import numpy as np
-
-    shape = model.v_template + model.shapedirs @ poses.betas
-    return float(np.ptp(shape[:, 1]))
-
-
-def fast_frames(poses: BodyPoses, quality: FitQuality) -> list[str]:
-    """The frames at which a joint turns faster than a person's can, each with the joint."""
-    return [f"{name} ({joint})" for name, joint in zip(poses.names, quality.fast, strict=True) if joint]
-
-
-def mean_known(values: np.ndarray) -> float | None:
-    """The mean of those `values` that are finite, to 4 digits; None if none is."""
-    import numpy as np
-
-    finite = values[np.isfinite(values)]
-    return round(float(finite.mean()), 4) if len(finite) else None
-
-
-def known(value: float) -> float | None:
-    """A value to 4 digits for JSON, None for one that is not finite."""
-    return round(float(value), 4) if math.isfinite(value) else None
-
-
-def count_names(names: list[str]) -> str:
-    """How many frames, and the first of their names."""
-    return f"{len(names)} frame{'s' if len(names) > 1 else ''}: {listed(names, 5)}"

@@ -63,13 +63,14 @@ def run(
     from stages.formats.body_model import read_body_model
     from stages.formats.exchange.read import lacks, read_given
     from stages.formats.ground import read_ground
+    from stages.formats.people import model_of
     from stages.formats.trained import check_scene
 
     only = params.only
     given, room, effects = read_given(train, avatar, scene, params.who)
     if room is not None and scene is not None:
         room = stood(room, params.scene_axes, None if smpl is None else read_ground(smpl / "ground.json"))
-    model = None if smpl is None else read_body_model(smpl / "body_model.npz")
+    model = None if smpl is None else read_body_model(model_of(smpl, params.who))
     baked = load_avatar(with_casters(given, model), job.device)
     for fact in lacks(avatar, scene, room is not None and room.antialias):
         job.note(fact)

@@ -29,6 +29,7 @@ from stages.formats.body_model import read_body_model
 from stages.formats.exchange.read import lacks, read_any_avatar
 from stages.formats.facts import Listing, read_facts
 from stages.formats.ground import read_ground
+from stages.formats.people import model_of
 from stages.formats.poses import read_poses
 from stages.formats.splats import read_avatar
 from stages.formats.trained import trained_of
@@ -124,7 +125,7 @@ def cast(person: Person, name: str, ground: records.Ground, fps: float, device: 
         raise StageError(f"{person.avatar} holds one person: there is no person {person.who}", "leave out `who:`")
     own = None if run is None else trained_of(run / "train", person.who)
     record = read_avatar(own / "avatar.npz") if own else read_any_avatar(person.avatar)
-    model = _model(run, record)
+    model = _model(run, record, person.who)
     record = with_casters(record, model)
     rig, baked = rig_of(record), load_avatar(record, device)
     soles = Soles.of_rig(rig)
@@ -196,10 +197,12 @@ def _own(run: Path | None, person: Person, manner: Manner, soles: Soles) -> Plac
     return placed
 
 
-def _model(run: Path | None, record: records.Avatar) -> records.BodyModel | None:
-    """The body of the run, or of a file the free body where its joints are that one's."""
+def _model(run: Path | None, record: records.Avatar, who: int) -> records.BodyModel | None:
+    """The body of a person of the run, or of a file the free body, of any size, where its joints are that one's."""
     if run:
-        return read_body_model(run / "smpl" / "body_model.npz")
-    free = read_body_model()
-    _, joints = Body(free).rest(torch.as_tensor(record.betas).float())
-    return free if float((joints - torch.as_tensor(record.joints)).norm(dim=1).max()) < SAME else None
+        return read_body_model(model_of(run / "smpl", who))
+    free, theirs = read_body_model(), np.asarray(record.joints, np.float64)
+    joints = Body(free).rest_joints(torch.as_tensor(record.betas).float()).double().numpy()
+    sizes = 1.0, float(np.linalg.norm(theirs - theirs[0]) / np.linalg.norm(joints - joints[0]))
+    near = (size for size in sizes if np.linalg.norm(size * joints - theirs, axis=1).max() < SAME)
+    return next((free.sized(size) for size in near), None)

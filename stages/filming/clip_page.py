@@ -13,7 +13,7 @@ from stages.filming.clip_cast import floor_under, with_casters
 from stages.formats import viewer
 from stages.formats.clip import Clip, load_people
 from stages.formats.effects import read_effects
-from stages.formats.facts import Listing, read_facts
+from stages.formats.facts import Listing, Smpl, read_facts
 from stages.records import Avatar, Ground, Rig, Scene
 
 
@@ -52,6 +52,7 @@ def clip_page(
         turn=ground.turn,
         spot=ground.point,
         made_by=made_by,
+        times_fit=read_facts(smpl / "smpl.json", Smpl).metre.times_fit,
     )
 
 

@@ -13,7 +13,7 @@ from stages.contract import StageError
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras
 from stages.formats.images import Kept, read_image, read_mask
-from stages.formats.people import folder_of, masks_of, people_of
+from stages.formats.people import folder_of, masks_of, model_of, people_of
 from stages.formats.points import read_points
 from stages.formats.poses import read_poses
 from stages.formats.splits import read_split
@@ -159,6 +159,6 @@ def load_clip(sfm: Path, smpl: Path, train: Path | None = None, person: int = 1)
         points=xyz.astype(np.float64) * poses.world_from_sfm,
         colors=rgb,
         body=ordered,
-        body_model=read_body_model(smpl / "body_model.npz"),
+        body_model=read_body_model(model_of(smpl, person)),
         person=person,
     )

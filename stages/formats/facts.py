@@ -163,11 +163,18 @@ class Expected(Facts):
     across: tuple[Number, ...]
 
 
+class Size(Facts):
+    """Of people and world: `times_fit` as large as bodies alone made them, for lengths that the user knows."""
+
+    times_fit: Number = 1.0
+
+
 class Smpl(Facts):
     """smpl.json; how far each joint of a frame is probably off, where the stage estimated the poses, and doubtful frames."""
 
     expected_error_mm: dict[str, Expected] = {}
     doubtful: tuple[str, ...] = ()
+    metre: Size = Size()
 
 
 class SplitRow(Facts):

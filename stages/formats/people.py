@@ -5,7 +5,11 @@ Masks are of everybody in masks/. Where there are several people, each has their
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
+
+from stages.contract import Job
 
 PEOPLE = "people"
 EVERYBODY = "all"
@@ -26,3 +30,18 @@ def masks_of(stage: Path, person: int) -> Path:
     """The folder of a person's own masks; those of everybody where there is only one."""
     own = stage / PEOPLE / str(person) / "masks"
     return own if own.is_dir() else stage / "masks"
+
+
+def model_of(smpl: Path, person: int) -> Path:
+    """The body model of a person, in the folder of the stage smpl: that of the first where they have no other."""
+    own = folder_of(smpl, person) / "body_model.npz"
+    return own if own.is_file() else smpl / "body_model.npz"
+
+
+def job_of(job: Job, person: int) -> Job:
+    """The job of one of several people: what it says begins with whom it is about."""
+
+    def emit(event: dict[str, Any]) -> None:
+        job.emit(event | {"text": f"person {person}: {event['text']}"} if "text" in event else event)
+
+    return replace(job, emit=emit)

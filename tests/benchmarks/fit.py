@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
+from stages.estimators.bodyfit.metre import BY_BODY, BY_HEIGHT
 from stages.formats.body_model import read_body_model
 from tests.made.family.courtyard import measure_finished
 from tests.made.family.doubt import errors_of, in_bins
@@ -78,6 +79,17 @@ def show_doubts(expected: Sequence[np.ndarray], found: Sequence[np.ndarray]) -> 
         print(f"expected: measured {name} the view, cm: {pairs}; within a factor of two in {kept:.0%}")
 
 
+def show_metre(rows: Sequence[Row]) -> None:
+    """Print how far a metre is off where the height is given, and how often people are as tall as they look."""
+    size, metre = (1 + np.array([row[name] for row in rows]) / 100 for name in ("tall%", "scale%"))
+    off, looks = 100 * abs(1 / size - 1), np.exp(abs(np.log(size * metre))) - 1
+    print(
+        f"metre by a given height: {np.median(off):.1f} % off at the median, {off.max():.1f} at the worst,"
+        f" to {100 * BY_HEIGHT:.0f} % in {(off < 100 * BY_HEIGHT).sum()} of {len(off)};"
+        f" by the body: to {100 * BY_BODY:.0f} % in {(looks < BY_BODY).sum()}"
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
@@ -110,6 +122,7 @@ def main() -> None:
     if rows:
         summarize(rows)
         show_doubts(*zip(*doubts, strict=True))
+        show_metre(list(rows.values()))
     if args.courtyard:
         finished = measure_finished(clips / "courtyard", args.courtyard)
         for name, row in finished.items():

@@ -14,6 +14,7 @@ AGAIN = f"{HERE}test_a_stage_that_is_run_again_by_force_is_whole_although_its_st
 PICTURES = f"{HERE}test_the_folder_that_has_the_pictures_their_rate_and_a_place_for_results"
 RUN = f"{HERE}test_what_a_run_says_makes_it_go_through"
 SWEEP = "tests/hugs_cli/studies/test_sweep.py::test_a_budget_is_spent_in_order_on_what_fits_and_the_next_one_goes_on"
+HEIGHT = "tests/stages/test_smpl.py::test_a_given_height_makes_body_floor_and_world_larger_and_nothing_else"
 DONE = {
     "--avatar avatar.npz": DRAW,
     "--cameras views.npz": DRAW,
@@ -49,6 +50,8 @@ DONE = {
     ),
     "--up X": "tests/stages/filming/test_motions.py::test_an_up_that_the_pelvis_contradicts_is_said_with_the_axis_that_it_has",
     "--up": "tests/stages/commands/test_compose.py::test_a_motion_that_does_not_say_how_fast_or_which_way",
+    **dict.fromkeys(["--height", "--height 1.85"], HEIGHT),
+    "--cameras PATH": "tests/hugs_cli/test_options.py::test_lengths_that_nobody_has_or_that_fit_nothing_are_refused_at_once",
     "--budget 120": SWEEP,
     "--sweep": SWEEP,
     "hugs costs --sweep": SWEEP,

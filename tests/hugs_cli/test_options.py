@@ -33,11 +33,39 @@ def test_every_command_on_a_clip_passes_all_options_on(monkeypatch, command):
         raise UsageError("enough")
 
     monkeypatch.setattr(RunOptions, "session", refuse)
-    names = ["set", "masks", "person", "cameras", "smpl-fit", "body-model", "pipeline", "work", "pipelines-file"]
+    names = [
+        "set",
+        "masks",
+        "person",
+        "cameras",
+        "smpl-fit",
+        "body-model",
+        "height",
+        "scale",
+        "pipeline",
+        "work",
+        "pipelines-file",
+    ]
     CliRunner().invoke(app.app, [command, "clip.mp4", "--seed=7", *(f"--{name}={name}" for name in names)])
     paths = (Path(name) for name in ("cameras", "smpl-fit", "body-model"))
     places = "pipeline", Path("work"), Path("pipelines-file")
-    assert opened == [(RunOptions(["set"], Path("masks"), "person", *paths, 7, *places), CLIP)]
+    assert opened == [(RunOptions(["set"], Path("masks"), "person", *paths, ["height"], "scale", 7, *places), CLIP)]
+
+
+def test_lengths_that_nobody_has_or_that_fit_nothing_are_refused_at_once(tmp_path):
+    def facts(**given):
+        with pytest.raises(UsageError) as error:
+            RunOptions(work=tmp_path, **given).session(CLIP)
+        return f"{error.value} {error.value.hint} {error.value.facts}"
+
+    for tall in ("0.4", "tall"):
+        assert holds(facts(height=[tall]), "smpl.height", tall)
+    assert holds(facts(height=["1.85", "1.70"]), "person 2", "--person all")
+    assert holds(facts(scale="2.31"), "smpl.scale") and holds(facts(scale="cameras"), "--cameras")
+    both = RunOptions(
+        work=tmp_path, height=["6'1\"", "2=1,70"], person="all", scale="cameras", cameras=tmp_path
+    ).session(CLIP)
+    assert both.pipeline.stages["smpl"].params.height == {1: pytest.approx(1.8542), 2: 1.7}
 
 
 def test_a_pipelines_name_has_no_such_seed_either(tmp_path):

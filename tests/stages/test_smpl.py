@@ -18,6 +18,8 @@ from stages.avatar.body.smpl import Body
 from stages.avatar.body.smpl_rest import smpl_rest
 from stages.avatar.motion.placing import Soles
 from stages.contract import Job, StageError
+from stages.estimators.bodyfit import reporting
+from stages.estimators.bodyfit.floor import floor_of
 from stages.estimators.bodyfit.inputs import of_person, read_inputs, touch
 from stages.estimators.bodyfit.resting import carry_over
 from stages.estimators.person import blazepose
@@ -63,18 +65,19 @@ def folders(tmp_path_factory):
     return clip, frames, sfm
 
 
-def run(folder, frames, sfm, **sources):
+def run(folder, frames, sfm, settings=None, **sources):
     said = []
     folder.mkdir(exist_ok=True)
-    smpl.run(Job(out=folder, emit=said.append), smpl.Params(), frames=frames, sfm=sfm, **sources)
+    smpl.run(Job(out=folder, emit=said.append), smpl.Params(**settings or {}), frames=frames, sfm=sfm, **sources)
     facts = json.loads((folder / "smpl.json").read_text())
     assert not impossible(facts, bodyfit_clips.WIDTH, bodyfit_clips.HEIGHT)
     return read_poses(folder / "body.npz"), facts, said
 
 
 def test_what_is_not_finite_is_not_known():
-    assert [smpl.known(value) for value in (0.12345, np.nan, np.inf, -np.inf)] == [0.1235, None, None, None]
-    assert smpl.mean_known(np.array([1.0, np.nan, np.inf, 3.0])) == 2 and smpl.mean_known(np.array([np.inf])) is None
+    assert [reporting.known(value) for value in (0.12345, np.nan, np.inf, -np.inf)] == [0.1235, None, None, None]
+    assert reporting.mean_known(np.array([1.0, np.nan, np.inf, 3.0])) == 2
+    assert reporting.mean_known(np.array([np.inf])) is None
 
 
 def world_joints(poses):
@@ -162,6 +165,28 @@ def test_i05_j02_a_fit_in_sfm_units_keeps_its_pictures_at_one_scale(folders, tmp
     np.testing.assert_allclose(world_joints(poses), clip.joints, atol=2e-3)
     assert any(event["event"] == "warning" and "scale varies" in event["text"] for event in said)
     assert facts["mean_iou"] > 0.95
+
+
+@pytest.mark.slow
+def test_a_given_height_makes_body_floor_and_world_larger_and_nothing_else(folders, tmp_path):
+    clip, frames, sfm = folders
+    fit = camera_fit(clip) | {"scale": np.full(16, bodyfit_clips.SFM_FROM_WORLD)}
+    np.savez(tmp_path / "fit.npz", names=np.array(clip.cameras.names), **in_sfm(clip, fit))
+    out, tall = tmp_path / "out", float(np.ptp(MODEL.v_template[:, 1]))
+    poses, facts, said = run(out, frames, sfm, {"height": 1.2 * tall}, smpl_fit=tmp_path / "fit.npz")
+    assert poses.world_from_sfm == pytest.approx(1.2 * clip.scale, rel=1e-6)
+    sized = read_body_model(out / "body_model.npz")
+    parts = (poses.betas, poses.global_orient, poses.body_pose, poses.transl)
+    joints = Body(sized)(*(torch.tensor(part, dtype=torch.float32) for part in parts))[1].numpy()
+    np.testing.assert_allclose(joints, 1.2 * clip.joints, atol=3e-3)
+    ground = read_ground(out / "ground.json")
+    assert ground.metres == poses.world_from_sfm and ground.points > 250
+    assert facts["stature_m"] == pytest.approx(1.2 * tall, abs=1e-3) and facts["mean_iou"] > 0.95
+    assert facts["metre"]["times_fit"] == pytest.approx(1.2) and facts["metre"]["stature_of_fit_m"] == pytest.approx(
+        tall, abs=1e-3
+    )
+    assert any(holds(event.get("text", ""), f"{1.2 * tall:.2f} m of person 1", f"{tall:.2f} m") for event in said)
+    assert not any(holds(event.get("text", ""), "unusual shape") for event in said)
 
 
 def as_smpl(fit):
@@ -288,7 +313,7 @@ def test_of_several_people_the_one_without_poses_is_named(folders, tmp_path, mon
 def test_a_plane_that_is_not_what_the_person_stands_on_is_said(tmp_path):
     said = []
     scale = {"initial": 0.5, "how": "standing feet", "floor_refused": 1.1, "floor_spread": 0.08}
-    smpl.warn_of_scale(Job(out=tmp_path, emit=said.append), scale)
+    reporting.warn_of_scale(Job(out=tmp_path, emit=said.append), scale)
     (text,) = (event["text"] for event in said)
     assert holds(text, "plane") and holds(text, "1.1 m") and holds(text, 0.5)
 
@@ -296,7 +321,7 @@ def test_a_plane_that_is_not_what_the_person_stands_on_is_said(tmp_path):
 def test_a_floor_that_slopes_is_said_with_its_degrees(tmp_path):
     said = []
     scale = {"initial": 0.5, "how": "the body stands on the floor's SfM points", "floor_slope_degrees": 11.6}
-    smpl.warn_of_scale(Job(out=tmp_path, emit=said.append), scale)
+    reporting.warn_of_scale(Job(out=tmp_path, emit=said.append), scale)
     (text,) = (event["text"] for event in said)
     assert holds(text, "12 degrees")
 
@@ -311,11 +336,11 @@ def test_one_floor_is_found_under_two_people_whose_soles_have_other_numbers_of_p
     one = BodyPoses(clip.cameras.names, np.zeros(10), *known, world_from_sfm=clip.scale)
     other = replace(one, betas=np.eye(10)[0] * 2)
     assert len({smpl_soles(person).shape for person in (one, other)}) == 2, "or it shows nothing"
-    alone, both = smpl.floor_of(inputs, one), smpl.floor_of(inputs, one, other)
+    alone, both = floor_of(inputs, (MODEL, one)), floor_of(inputs, (MODEL, one), (MODEL, other))
     np.testing.assert_allclose(both.up, alone.up, atol=0.02)
     assert abs((both.point - alone.point) @ alone.up) < 0.02 and alone.points and both.points
     about = (Rotation.from_rotvec(orient) * Rotation.from_euler("y", 180, degrees=True)).as_rotvec()
-    both = smpl.floor_of(inputs, one, replace(other, global_orient=about))
+    both = floor_of(inputs, (MODEL, one), (MODEL, replace(other, global_orient=about)))
     assert both.ahead @ alone.ahead > 0.99, "the first person's way, whichever way another looks"
 
 

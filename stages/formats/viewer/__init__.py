@@ -24,8 +24,8 @@ ROOM = Path(__file__).parent / "page"
 TEMPLATE, STYLE, BOOT, ICONS = "viewer.html", "viewer.css", "boot.js", "icons.json"
 MODULES = (
     "arrays.js", "bvh.js", "clip.js", "clothes.js", "controls.js", "dropped.js", "fading.js", "floor.js", "headset.js",
-    "light.js", "main.js", "motion.js", "names.js", "pace.js", "person.js", "player.js", "retarget.js", "shading.js",
-    "shadow.js", "skeleton.js", "skin.js", "splats.js", "stage.js", "turns.js",
+    "light.js", "main.js", "motion.js", "names.js", "pace.js", "person.js", "player.js", "retarget.js", "ruler.js",
+    "shading.js", "shadow.js", "skeleton.js", "skin.js", "splats.js", "stage.js", "turns.js",
 )  # fmt: skip
 """They import each other as hugs/NAME."""
 POLICY = (
@@ -66,7 +66,8 @@ class Exhibit:
     y up and the floor at 0.
 
     `cameras` in metres, one a frame of the first motion, and of a clip its frames `images(i)` uint8 [H,W,3]. `effects` have the
-    lamp and the light on people. `facts` are names and values in words.
+    lamp and the light on people. `facts` are names and values in words. `times_fit`: how much larger all is than the clip's run
+    made it by bodies alone; None where no run can be told a length.
     """
 
     title: str
@@ -80,6 +81,7 @@ class Exhibit:
     turn: np.ndarray
     spot: np.ndarray
     made_by: str
+    times_fit: float | None = None
 
 
 def write_viewer(path: Path, shown: Exhibit) -> list[str]:
@@ -148,6 +150,7 @@ def _facts(shown: Exhibit, scene: Scene | None, packer: Packer) -> dict[str, Any
         shadow = {name: getattr(effects, name) for name in names} | {"light": np.asarray(effects.light).tolist()}
     return {
         "title": shown.title,
+        "timesFit": shown.times_fit,
         "arrays": packer.table,
         "antialias": shown.figures[0].rig.antialias if scene is None else scene.antialias,
         "world": world.ravel().tolist(),

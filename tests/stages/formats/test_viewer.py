@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+from dataclasses import replace
 from importlib import resources
 
 import cv2
@@ -36,6 +37,7 @@ from tests.made.marionette import Firefox
 from tests.made.said import holds
 
 CLIP, JACKS = 0, 1  # motions of the page
+WALL = 4.5  # m ahead, in the tiny clip
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +54,7 @@ def html(folders):
 def page(folders, tmp_path_factory):
     """The page, under a hostile name, open in a browser."""
     shown, hostile = Page(tmp_path_factory.mktemp("profile")), folders["export"] / "hostile.html"
-    viewer.write_viewer(hostile, exhibits.rename(exhibits.run(folders)))
+    viewer.write_viewer(hostile, replace(exhibits.rename(exhibits.run(folders)), times_fit=1.25))
     shown.open(hostile, "document.body?.matches('.open, .stuck')")
     yield shown
     shown.close()
@@ -323,6 +325,36 @@ def test_keys_press_the_buttons(page):
     press("2")
     press("s")
     assert page.run("[hugs.player.show, hugs.player.shaded]") == ["both", False]
+
+
+@pytest.mark.slow
+def test_a_ruler_measures_between_two_clicks_and_names_the_option_that_corrects_it(page):
+    page.run("void (hugs.player.set({ playing: false, show: 'both' }), hugs.facts.clip, hugs.player.home(3))")
+    page.run("document.getElementById('ruler').click()")
+    wait(page, "!hugs.player.stage.busy")
+    left, top, width, height = page.run(
+        "(({ x, y, width, height }) => [x, y, width, height])(document.getElementById('canvas').getBoundingClientRect())"
+    )
+    places = [(left + share * width, top + 0.3 * height) for share in (0.4, 0.62)]
+    for x, y in places:
+        for kind in ("mousePressed", "mouseReleased"):
+            page.ask("Input.dispatchMouseEvent", type=kind, button="left", buttons=1, clickCount=1, x=x, y=y)
+    wait(page, "document.querySelector('#distance b').textContent.endsWith(' m')")
+    shown, option = page.run("[...document.getElementById('distance').children].map((part) => part.textContent)")
+    eye, matrix = page.run(
+        "(({ stage }) => [stage.eye.toArray(), stage.world.matrix.clone().invert().multiply(stage.camera.matrixWorld)"
+        ".multiply(stage.camera.projectionMatrixInverse).toArray()])(hugs.player)"
+    )
+    clip_from_screen, ends = np.reshape(matrix, (4, 4)).T, []
+    for x, y in places:
+        there = clip_from_screen @ [2 * (x - left) / width - 1, 1 - 2 * (y - top) / height, 0, 1]
+        way = there[:3] / there[3] - eye
+        ends.append(np.array(eye) + way * (WALL - eye[2]) / way[2])
+    assert float(shown.removesuffix(" m")) == pytest.approx(np.linalg.norm(ends[0] - ends[1]), rel=0.04)
+    assert option == f"--scale {float(option.split()[1].split('=')[0]):.3f}=METRES"
+    assert float(option.split()[1].split("=")[0]) == pytest.approx(float(shown.split()[0]) / 1.25, rel=0.01)
+    page.run("document.getElementById('ruler').click()")
+    assert page.run("document.getElementById('distance').hidden")
 
 
 @pytest.mark.slow

@@ -1,10 +1,11 @@
 // Buttons, keys, dropped files: each changes the player, and the player's changes are shown on them.
 import { PARTS } from "hugs/skeleton";
 import { offerHeadset } from "hugs/headset";
+import { offerRuler } from "hugs/ruler";
 
 const SPEEDS = [0.25, 0.5, 1, 2];
 
-export function connect(player, read, facts) {
+export function connect(player, read, facts, scene) {
   const $ = (id) => document.getElementById(id);
   const press = (id, act) => $(id).addEventListener("click", act);
   const list = (id, rows) => $(id).replaceChildren(...rows.map(([value, text]) => new Option(text, value)));
@@ -75,7 +76,7 @@ export function connect(player, read, facts) {
   const keys = {
     " ": () => player.set({ playing: !player.playing }), ArrowLeft: () => go(-1), ArrowRight: () => go(1),
     1: () => player.set({ show: "person" }), 2: () => $("both").click(), 3: () => $("scene").click(),
-    c: look, s: () => $("shade").click(), j: toggle, r: () => $("home").click(), p: () => save(player, facts), f: whole,
+    c: look, s: () => $("shade").click(), j: toggle, r: () => $("home").click(), p: () => save(player, facts), f: whole, m: () => $("ruler").click(),
     "?": () => $("about").click(),
   };
   addEventListener("keydown", (event) => {
@@ -102,6 +103,7 @@ export function connect(player, read, facts) {
   if (player.people.length > 1) Object.assign($("person"), { textContent: "People", title: "The people alone (1)" });
   $("full").hidden = !document.fullscreenEnabled;
   offerHeadset(player, $("headset"), say, home);
+  offerRuler(player, scene, facts.timesFit, $("ruler"), $("distance"));
 
   document.body.style.setProperty("--stage", `#${facts.background.toString(16)}`);
   document.body.style.setProperty("--shape", facts.clip.size[0] / facts.clip.size[1]);

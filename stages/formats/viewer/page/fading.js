@@ -1,10 +1,10 @@
 // What fades of the scene as one orbits: what no camera of the clip had in its picture, and what none looked at from there.
-import { Vector4 } from "three";
+import { MathUtils, Vector3, Vector4 } from "three";
 import { bytesOf, eachSplat } from "hugs/splats";
 
 const EYES = 16; // of the clip's cameras
 const NEARBY = 15, ASIDE = 35; // degrees, as a Gaussian sees it, between the eye and the nearest of them: all, and nothing
-const cosine = (degrees) => Math.cos(degrees * Math.PI / 180).toFixed(6);
+const cosine = (degrees) => Math.cos(degrees * Math.PI / 180);
 const glsl = (eyes) => `
 const vec3 hugsEyes[${eyes.length}] = vec3[](${eyes.map((eye) => `vec3(${eye.map((x) => x.toExponential(8))})`)});
 struct HugsFading {
@@ -17,7 +17,7 @@ float hugsFaded(usampler2DArray marks, vec4 eye, int index, vec3 center) {
   vec2 mark = vec2(texelFetch(marks, splatTexCoord(index), 0).xy) / 15.0;
   float near = -1.0;
   for (int k = 0; k < ${eyes.length}; k++) near = max(near, dot(normalize(hugsEyes[k] - center), normalize(eye.xyz - center)));
-  return mark.x * max(mark.y, smoothstep(${cosine(ASIDE)}, ${cosine(NEARBY)}, near));
+  return mark.x * max(mark.y, smoothstep(${cosine(ASIDE).toFixed(6)}, ${cosine(NEARBY).toFixed(6)}, near));
 }`;
 
 /** What Spark asks of a scene's skinning: `marks` [2 a Gaussian], how much of it was seen and how much is floor, 0 to 15. */
@@ -25,12 +25,22 @@ export class Fading {
   constructor(scene, marks, clip) {
     this.mesh = scene.mesh;
     this.eye = new Vector4(); // in the clip's world; w 0: nothing fades
+    this.marks = marks;
     const count = clip.names.length, chosen = Array.from({ length: EYES }, (_, k) => Math.round(k * (count - 1) / (EYES - 1)));
+    this.eyes = [...new Set(chosen)].map((frame) => clip.eye(frame));
     const value = { marks: bytesOf(marks, 2, scene.splats.textures[0].image), eye: this.eye };
-    this.modifyCov = eachSplat("HugsFading", glsl([...new Set(chosen)].map((frame) => clip.eye(frame))), value, (out, fading) => `
+    this.modifyCov = eachSplat("HugsFading", glsl(this.eyes), value, (out, fading) => `
       ${out}.rgba.a *= hugsFaded(${fading}.marks, ${fading}.eye, ${out}.index, ${out}.center);`);
     this.mesh.skinning = this;
     this.mesh.updateGenerator();
+  }
+
+  /** How much of Gaussian i is left, at its place [3]: as above, for one that is asked about. */
+  shown(i, ...place) {
+    if (this.eye.w === 0) return 1;
+    const center = new Vector3(...place), way = new Vector3().copy(this.eye).sub(center).normalize();
+    const near = Math.max(...this.eyes.map((eye) => new Vector3(...eye).sub(center).normalize().dot(way)));
+    return this.marks[2 * i] / 15 * Math.max(this.marks[2 * i + 1] / 15, MathUtils.smoothstep(near, cosine(ASIDE), cosine(NEARBY)));
   }
 
   /** Look from a place in the clip's world, or through a camera, for which all is there. */

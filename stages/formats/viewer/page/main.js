@@ -27,7 +27,7 @@ export async function start(facts, buffer) {
   const motions = facts.motions.map(({ name, fps }, i) => new Motion(name, fps, people.map((_, who) => groups[`motion${who}.${i}`])));
   const clip = new Clip(facts.clip, groups.clip), fading = scene ? new Fading(scene, groups.scene.marks, clip) : null;
   player = new Player(stage, people, scene, { shadow, fading }, clip, motions);
-  connect(player, (file) => readMotion(file, people), facts);
+  connect(player, (file) => readMotion(file, people), facts, groups.scene);
   window.hugs = { player, facts, show: (wanted) => show(player, wanted), perform: (text) => performed(text, people[0]) };
   player.position = facts.clip.middle;
   player.home(facts.clip.middle);
