@@ -9,18 +9,22 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # the same as HOMES, for type checkers
-    from hugs.front import Avatar as Avatar
-    from hugs.front import Gaussians as Gaussians
-    from hugs.front import camera as camera
-    from hugs.front import draw as draw
-    from hugs.front import load_avatar as load_avatar
-    from hugs.front import load_scene as load_scene
-    from hugs.front import write_image as write_image
+    from hugs.avatar import Avatar as Avatar
+    from hugs.avatar import load as load
+    from hugs.drawing import Picture as Picture
+    from hugs.drawing import camera as camera
+    from hugs.drawing import draw as draw
+    from hugs.drawing import write_image as write_image
+    from hugs.gaussians import Gaussians as Gaussians
+    from hugs.gaussians import Person as Person
+    from hugs.gaussians import load_scene as load_scene
     from hugs.learning import save as save
     from hugs.learning import train as train
     from hugs.making import animate as animate
     from hugs.making import compose as compose
     from hugs.making import export as export
+    from hugs.motion import Motion as Motion
+    from hugs.motion import Pose as Pose
     from hugs.progress import Progress as Progress
     from stages.avatar.rasterize import Camera as Camera
     from stages.contract import StageError as StageError
@@ -28,9 +32,12 @@ if TYPE_CHECKING:  # the same as HOMES, for type checkers
     from stages.training.results import Result as Result
 
 HOMES = {
-    "hugs.front": ("Avatar", "Gaussians", "camera", "draw", "load_avatar", "load_scene", "write_image"),
+    "hugs.avatar": ("Avatar", "load"),
+    "hugs.drawing": ("Picture", "camera", "draw", "write_image"),
+    "hugs.gaussians": ("Gaussians", "Person", "load_scene"),
     "hugs.learning": ("save", "train"),
     "hugs.making": ("animate", "compose", "export"),
+    "hugs.motion": ("Motion", "Pose"),
     "hugs.progress": ("Progress",),
     "stages.avatar.rasterize": ("Camera",),
     "stages.contract": ("StageError",),

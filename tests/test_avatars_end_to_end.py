@@ -133,7 +133,7 @@ def test_every_kind_of_file_is_animated_rendered_and_loaded(kind, made, hugs):
     hugs("animate", "--avatar", kind, "moves.npz", "--cameras", "view.npz", "--fps", "4", "--out", f"{name}.mp4")
     hugs("render", "--avatar", kind, "--cameras", "view.npz", "--out", f"{name}_views")
     assert (colour_of(read_image(made / f"{name}_views/000.png")[..., :3]) >= 0).sum() > 100
-    person = front.load_avatar(made / kind).pose()
+    person = front.load(made / kind).pose()
     assert np.isfinite(person.means).all() and len(person.means) > 400
 
 

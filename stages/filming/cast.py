@@ -125,7 +125,7 @@ def cast(person: Person, name: str, ground: records.Ground, fps: float, device: 
         raise StageError(f"{person.avatar} holds one person: there is no person {person.who}", "leave out `who:`")
     own = None if run is None else trained_of(run / "train", person.who)
     record = read_avatar(own / "avatar.npz") if own else read_any_avatar(person.avatar)
-    model = _model(run, record, person.who)
+    model = body_of(run, record, person.who)
     record = with_casters(record, model)
     rig, baked = rig_of(record), load_avatar(record, device)
     soles = Soles.of_rig(rig)
@@ -197,8 +197,8 @@ def _own(run: Path | None, person: Person, manner: Manner, soles: Soles) -> Plac
     return placed
 
 
-def _model(run: Path | None, record: records.Avatar, who: int) -> records.BodyModel | None:
-    """The body of a person of the run, or of a file the free body, of any size, where its joints are that one's."""
+def body_of(run: Path | None, record: records.Avatar, who: int = 1) -> records.BodyModel | None:
+    """The body of a person of the run, or of a file the free body, of any size, where its joints are that one's, else None."""
     if run:
         return read_body_model(model_of(run / "smpl", who))
     free, theirs = read_body_model(), np.asarray(record.joints, np.float64)

@@ -133,6 +133,7 @@ def test_who_is_undressed_to_be_posed_goes_with_the_bones_that_carried_the_cloth
     bare = posing.undressed(dressed)
     assert bare.clothes is None and bare.lbs_weights.shape == (len(dressed), 24)
     np.testing.assert_allclose(bare.lbs_weights.sum(1), 1)
-    found = posing.measure(dressed, 3)
+    found, many = posing.measure(dressed, 3), posing.at_once(dressed, 3)
     use_threads(all_threads())
+    assert many["poses"] == 3 and many["ratio"] == many["at once"]["median"] / many["by itself"]["median"] > 0
     assert found["bones"] == 5 and all(found[kind]["ratio"] > 0 for kind in ("a pose by itself", "a motion"))

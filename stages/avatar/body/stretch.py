@@ -53,9 +53,13 @@ class Stretch(NamedTuple):
 
     def grown(self, means: Tensor, blend: Tensor) -> Tensor:
         """The axes [N,3,3] of Gaussians that bones took to means[N,3] by blend[N,3,3]."""
+        return self.gained(blend @ self.axes, means)
+
+    def gained(self, axes: Tensor, means: Tensor) -> Tensor:
+        """The axes [N,3,3], which may be overwritten, with what cloth gains of Gaussians that are at means[N,3]."""
         fast = means.dtype == torch.float32 and means.device.type == "cpu"
         add: Callable[..., Tensor] = _Gain.apply if fast else gain_reference
-        return add(blend @ self.axes, means, self.rows, self.near, self.shares)
+        return add(axes, means, self.rows, self.near, self.shares)
 
 
 def gain_reference(axes: Tensor, means: Tensor, rows: Tensor, near: Tensor, shares: Tensor) -> Tensor:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -16,10 +16,11 @@ from stages import records
 from stages.avatar.body.rotations import matrix_from_quat, matrix_from_rotvec
 from stages.avatar.body.skinning import FewBones, without_zeros
 from stages.avatar.body.smpl import rest_relative_transforms
-from stages.avatar.body.stretch import Stretch, cloth_of, stretch_of
+from stages.avatar.body.stretch import Stretch, cloth_of, gain_reference, stretch_of
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.shadow import Casters
 from stages.avatar.model.person import Canonical, Resting, bone_transforms, pose, rest
+from stages.avatar.model.poses import pose_together
 from stages.avatar.splats.gaussians import Splats
 
 
@@ -69,6 +70,15 @@ def load_avatar(avatar: records.Avatar, device: str | torch.device = "cpu") -> B
     )
 
 
+def rested(avatar: Baked, resting: Resting) -> Baked:
+    """The avatar with other Gaussians at rest, as many as before; differentiable in them."""
+    stretch = avatar.stretch
+    if stretch is not None:  # at rest, cloth gains nothing
+        still = gain_reference(resting.axes, resting.means, stretch.rows, stretch.near, -stretch.shares)
+        stretch = stretch._replace(axes=still)
+    return avatar._replace(resting=resting, stretch=stretch)
+
+
 def pose_avatar(avatar: Baked, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Splats:
     """The avatar in the world at one pose: global_orient[3], body_pose[69] axis-angle, transl[3] m. No network runs."""
     return posed_by(avatar, bones_of(avatar, global_orient, body_pose), transl)
@@ -116,6 +126,19 @@ class PosedAvatar:
         """All bones [P,J,4,4] from rest to each pose."""
         return bones_of(self.avatar, self.global_orient, self.body_pose)
 
+    @property
+    def joints(self) -> Tensor:
+        """The skeleton's joints [P,J,3] m in the world."""
+        own = self.bones[:, : len(self.avatar.parents), :3]
+        return (own[..., :3] @ self.avatar.joints[..., None])[..., 0] + own[..., 3] + self.transl[:, None]
+
+    def row(self, pose: int) -> PosedAvatar:
+        """The person in that pose alone."""
+        some = slice(pose, pose + 1)
+        return replace(
+            self, global_orient=self.global_orient[some], body_pose=self.body_pose[some], transl=self.transl[some]
+        )
+
     def shown(self, frame: int) -> bool:
         """Whether the frame shows the person."""
         return self.shows is None or self.shows(frame)
@@ -123,6 +146,17 @@ class PosedAvatar:
     def splats(self, frame: int) -> Splats:
         """The person's Gaussians in the world, in even light."""
         return posed_by(self.avatar, self.bones[frame], self.transl[frame])
+
+    def all_splats(self) -> list[Splats]:
+        """`splats` of every pose; several, without gradients and in float32 on a CPU, in one pass over the Gaussians."""
+        avatar, like = self.avatar, self.avatar.resting.means
+        wanted = torch.is_grad_enabled() and any(
+            part.requires_grad for part in (self.bones, self.transl, *avatar.resting)
+        )
+        if len(self.transl) == 1 or wanted or like.dtype != torch.float32 or like.device.type != "cpu":
+            return [self.splats(i) for i in range(len(self.transl))]
+        posed = pose_together(avatar.resting, self.bones, self.transl, avatar.stretch)
+        return [one._replace(antialias=avatar.antialias) for one in posed]
 
     def casters(self, frame: int) -> Casters:
         """What casts the person's shadow, in the world; ValueError where that is not known."""

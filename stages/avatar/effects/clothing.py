@@ -112,6 +112,11 @@ class Clothing(nn.Module):
         tensors = {name: torch.as_tensor(array, dtype=torch.float32) for name, array in arrays.items()}
         return cls(**tensors).requires_grad_(False)
 
+    def moved(self, joints: Tensor, centres: Tensor) -> Clothing:
+        """The same clothes on joints[24,3] m that are elsewhere at rest, their bones at centres[K,3] m; differentiable in both."""
+        same = {name: getattr(self, name) for name in ("carriers", "mean", "axes", "low", "high")}
+        return Clothing(self.swings, joints=joints, centres=centres, **same).requires_grad_(self.swings.requires_grad)
+
     def __len__(self) -> int:
         return len(self.centres)
 

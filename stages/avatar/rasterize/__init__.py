@@ -25,13 +25,26 @@ def rasterize(
     """Draw N Gaussians, nearest first, once for each layer (3DGS, Kerbl et al. 2023; thresholds of gsplat 1.5).
 
     Gaussians nearer than `near` m are not drawn. Layers share projection and depth order, on a CPU LAYERS of them at a time,
-    and their gradients add up. Differentiable in means, axes, opacities, colors, viewmat and backgrounds. A row that is
-    not finite is left out and counted; ValueError for a camera that is not. Float32 goes to the fast kernel of its device
-    (Numba on a CPU, gsplat on a GPU), float64 to the reference.
+    and their gradients add up. Differentiable in means, axes, opacities, colors, viewmat, K (without skew) and backgrounds. A
+    row that is not finite is left out and counted; ValueError for a camera that is not. Float32 goes to the fast kernel of
+    its device (Numba on a CPU, gsplat on a GPU), float64 to the reference.
     """
     for name, part in (("viewmat", camera.viewmat), ("K", camera.K)):
         if not part.detach().isfinite().all():
             raise ValueError(f"the camera's {name} has numbers that are not finite: {part.tolist()}")
     means = gaussians.means
     maker = {"cpu": cpu, "cuda": cuda}.get(means.device.type, reference) if means.dtype == torch.float32 else reference
-    return maker.rasterize(gaussians, camera, layers, near)
+    return maker.rasterize(gaussians, camera if maker is reference else _through_viewmat(camera), layers, near)
+
+
+def _through_viewmat(camera: Camera) -> Camera:
+    """The same camera, whose viewmat carries the gradient of K; kernels have none.
+
+    K V = K0 (S V) with S = K0^-1 K, which is the identity in value; a viewmat need not be rigid.
+    """
+    if not camera.K.requires_grad:
+        return camera
+    view, K, fixed = camera.viewmat, camera.K, camera.K.detach()
+    focal = fixed.diagonal()[:2]
+    zoom, shift = K.diagonal()[:2] / focal, (K[:2, 2] - fixed[:2, 2]) / focal
+    return camera._replace(viewmat=torch.cat([zoom[:, None] * view[:2] + shift[:, None] * view[2], view[2:]]), K=fixed)

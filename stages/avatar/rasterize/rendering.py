@@ -61,6 +61,11 @@ class Camera(NamedTuple):
         """The camera of arrays, in their precision."""
         return cls(torch.as_tensor(viewmat), torch.as_tensor(K), width, height)
 
+    def __repr__(self) -> str:
+        view, focal = self.viewmat.detach().cpu().double(), float(self.K[0, 0])
+        place = ", ".join(f"{float(x):.2f}" for x in -view[:3, :3].T @ view[:3, 3])
+        return f"<camera of {self.width}x{self.height} px, focal length {focal:.0f} px, at ({place}) m>"
+
     def to(self, like: Tensor) -> Camera:
         """The same camera in the precision and on the device of `like`."""
         return self._replace(viewmat=self.viewmat.to(like), K=self.K.to(like))

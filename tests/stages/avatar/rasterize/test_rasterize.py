@@ -39,6 +39,23 @@ def test_c02_agrees_with_the_reference(kind, antialias, held):
     assert torch.equal(fast.radii > 0, true.radii > 0)
 
 
+@pytest.mark.parametrize("kind", ["mixed", "beside"])
+def test_k_has_the_gradient_of_the_reference(kind, held):
+    """The kernels have none: viewmat carries it, and the picture stays the same to the bit."""
+    found = []
+    for maker, dtype in ((cpu, torch.float32), (reference, torch.float64)):
+        means, quats, scales, *rest = (part.to(dtype) for part in gaussians(kind=kind))
+        view, K = (part.to(dtype) for part in camera())
+        drawn = Gaussians(means, maker.gaussian_axes(quats, scales), *rest)
+        shot = Camera(view, K.requires_grad_(), WIDTH, HEIGHT)
+        (picture,), (fixed,) = (rasterize(drawn, one) for one in (shot, shot._replace(K=K.detach())))
+        assert torch.equal(picture.image, fixed.image)
+        weights = torch.rand(HEIGHT, WIDTH, 3, generator=torch.Generator().manual_seed(5)).to(dtype)
+        found.append(torch.autograd.grad((picture.image * weights).sum(), K)[0])
+    held(apart(*found), 1e-5)
+    assert found[1].abs()[[0, 1, 0, 1], [0, 1, 2, 2]].min() > 0.01
+
+
 LAYERS = (
     Layer(background=torch.tensor([0.2, 0.5, 0.7])),
     Layer(torch.arange(300) < 120, (7, 3, 44, 41), torch.tensor([0.9, 0.1, 0.4])),

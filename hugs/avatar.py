@@ -1,0 +1,217 @@
+"""A trained person, and what a run holds of their clip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+from hugs.gaussians import Gaussians, Person
+from hugs.motion import Motion, Motions
+from stages import records
+from stages.avatar.body.smpl import Body
+from stages.avatar.drawing.avatar import Baked, PosedAvatar, load_avatar, rested
+from stages.avatar.drawing.rig import rig_of
+from stages.avatar.drawing.shape import Shapes, in_shape, shapes_of
+from stages.avatar.model.person import Resting
+from stages.avatar.model.scene import load_scene
+from stages.avatar.motion.moves import clip_move
+from stages.avatar.motion.placing import Soles
+from stages.avatar.rasterize import Camera
+from stages.contract import StageError
+from stages.filming.cast import body_of
+from stages.filming.clip_cast import with_casters
+from stages.formats.clip import load_clip
+from stages.formats.exchange.read import read_any_avatar
+from stages.formats.facts import Listing, read_facts
+from stages.formats.ground import read_ground
+from stages.formats.trained import read_trained
+
+LEVEL = records.Ground(np.zeros(3), np.array([0.0, 1, 0]), np.array([0.0, 0, 1]), 1.0, 0.0, 0.0, 0, "made")
+"""The floor under an avatar without a clip: y is up, and it looks along z."""
+
+
+@dataclass(frozen=True, repr=False)
+class Avatar:
+    """A trained person and, from a run's folder, their clip: `load` makes one.
+
+        avatar = hugs.load("work/dance/default")
+        person = avatar.pose(*avatar.motions["clip"][12])
+        picture = hugs.draw(person, avatar.cameras[12], avatar.scene)
+
+    All is in one world, in metres: that of the clip, or, of a file alone, y up with the feet at about y = -1.2.
+    """
+
+    record: records.Avatar
+    """The arrays of its file."""
+    baked: Baked
+    """Gaussians at rest, skeleton and clothes, as tensors."""
+    body: Body | None = None
+    """The body without clothes; None where it is not known."""
+    model: records.BodyModel | None = None
+    """The arrays of that body."""
+    name: str = ""
+    """The folder or file that it is from."""
+    scene: Gaussians[Tensor] | None = None
+    """The scene behind; None where there is none."""
+    frames: tuple[str, ...] = ()
+    """Names of the F frames of the clip, those of cameras and of the motion "clip"."""
+    cameras: tuple[Camera, ...] = ()
+    """Cameras of the F frames."""
+    clip: Motion | None = None
+    """The motion of the clip; None of a file."""
+    floor: records.Ground | None = None
+    """The floor on which the person stood; None of a file."""
+    light: records.Effects | None = None
+    """The lamp and the light on people, as learned from the clip, for `draw`; None of a file."""
+
+    def __repr__(self) -> str:
+        tall = np.ptp(self.rest.means[:, 1].detach().cpu().numpy())
+        bones = f", {len(self.baked.clothing)} bones of clothes" if self.baked.clothing is not None else ""
+        clip = f", {len(self.frames)} frames" if self.frames else ""
+        scene = f", a scene of {self.scene.count:,}" if self.scene is not None else ""
+        return f"<avatar {self.name}: {len(self.record):,} Gaussians, {tall:.2f} m{bones}{scene}{clip}>"
+
+    @property
+    def joints(self) -> np.ndarray:
+        """Joints [24,3] m at rest, named by JOINT_NAMES."""
+        return self.baked.joints.detach().cpu().numpy()
+
+    @property
+    def faces(self) -> np.ndarray:
+        """Triangles [T,3] between `Person.vertices`, counter-clockwise from outside; none where the body is not known."""
+        return np.zeros((0, 3), np.int32) if self.model is None else self.model.faces
+
+    @property
+    def rest(self) -> Resting:
+        """The Gaussians at rest, as tensors, from which every pose starts."""
+        return self.baked.resting
+
+    @cached_property
+    def motions(self) -> Motions:
+        """Motions by name: "clip", of a run, and made ones on the floor, such as "walk_in_place"."""
+        return Motions(Soles.of_rig(rig_of(self.record)), self.floor or LEVEL, self.clip)
+
+    def changed(self, **parts: Tensor) -> Avatar:
+        """The same person with other Gaussians: `means` [N,3] m, `axes` [N,3,3] m, `opacities` [N] or `sh` [N,K,3] of `rest`.
+
+        Pictures are differentiable in them.
+        """
+        return replace(self, baked=rested(self.baked, self.rest._replace(**parts)))
+
+    @overload
+    def pose(
+        self,
+        body_pose: Tensor,
+        global_orient: ArrayLike | Tensor | None = None,
+        transl: ArrayLike | Tensor | None = None,
+        betas: ArrayLike | Tensor | None = None,
+    ) -> Person[Tensor]: ...
+
+    @overload
+    def pose(
+        self,
+        body_pose: ArrayLike | None = None,
+        global_orient: ArrayLike | None = None,
+        transl: ArrayLike | None = None,
+        betas: ArrayLike | None = None,
+    ) -> Person[np.ndarray]: ...
+
+    def pose(
+        self, body_pose: Any = None, global_orient: Any = None, transl: Any = None, betas: Any = None
+    ) -> Person[Any]:
+        """The person at one pose of SMPL, or at P poses at once; what is left out is zero, and all zero is the T-pose.
+
+        `body_pose` [69], [23,3], [P,69] or [P,23,3] and `global_orient` [3] or [P,3] are rotation vectors in radians, `transl`
+        [3] or [P,3] is in metres. `betas` [10], one shape for all poses, takes the place of the avatar's own: Gaussians go with
+        the skin under them. Tensors give tensors, differentiable in all four; arrays give arrays. ValueError for other shapes
+        and for numbers that are not finite; StageError for `betas` where the body is not known.
+
+            person = avatar.pose(torch.zeros(8, 69), transl=torch.randn(8, 3))
+        """
+        arrays = not isinstance(body_pose, Tensor)
+        if arrays and any(isinstance(part, Tensor) for part in (global_orient, transl, betas)):
+            raise ValueError("of a pose in tensors body_pose is a tensor, too: give torch.zeros(69)")
+        given = {"body_pose": (body_pose, 69), "global_orient": (global_orient, 3), "transl": (transl, 3)}
+        parts = {name: self._tensor(name, *part) for name, part in given.items()}
+        counts = {name: len(part) for name, part in parts.items() if part.ndim == 2}
+        if len(set(counts.values())) > 1:
+            raise ValueError(f"the poses are not equally many: {counts}")
+        count = next(iter(counts.values()), 1)
+        pose, orient, place = (part.expand(count, -1) for part in parts.values())
+        shape = self._betas if betas is None else self._tensor("betas", betas, 10)
+        baked = self.baked if betas is None else in_shape(self.baked, self._shapes, shape - self._betas)
+        return Person(PosedAvatar(baked, orient, pose, place), self.body, shape, bool(counts), arrays)
+
+    @cached_property
+    def _betas(self) -> Tensor:
+        return self._tensor("betas", self.record.betas, 10)
+
+    @cached_property
+    def _shapes(self) -> Shapes:
+        if self.body is None:
+            raise StageError(
+                "the body of this avatar is not known, so it has no other shape",
+                "load the folder of its run, which holds the body",
+                ["an exported avatar holds joints and Gaussians, and no template of the body"],
+            )
+        return shapes_of(self.baked, self.body, self._betas)
+
+    def _tensor(self, name: str, value: Any, size: int) -> Tensor:
+        """Numbers [size] or [P,size] of a pose, in the precision and on the device of the avatar."""
+        joints = self.baked.joints
+        part = torch.zeros(size) if value is None else torch.as_tensor(value)
+        if name == "body_pose" and part.shape[-2:] == (23, 3):
+            part = part.flatten(-2)
+        few = (1,) if name == "betas" else (1, 2)
+        if part.ndim not in few or part.shape[-1] != size or not part.isfinite().all():
+            raise ValueError(f"{name} has the shape {tuple(part.shape)}, wanted are {size} finite numbers a pose")
+        return part.to(joints)
+
+
+def load(path: str | PathLike[str], who: int = 1, device: str = "cpu") -> Avatar:
+    """The avatar of a finished run's folder, such as work/dance/default, with its clip and scene; or of avatar.npz or
+    avatar_splats.glb alone, on `device`.
+
+    `who` is which of the people of a run. StageError, with facts and a hint, for what is neither, and for a person who is not
+    there.
+    """
+    place = Path(path)
+    if not place.is_dir():
+        if who != 1:
+            raise StageError(f"{place} holds one person: there is no person {who}", "leave out `who`")
+        record = read_any_avatar(place)
+        return _avatar(record, body_of(None, record), device, name=place.name)
+    train, sfm, smpl = (place / stage for stage in ("train", "sfm", "smpl"))
+    if not (train / "avatar.npz").is_file():
+        facts = [f"no {train / 'avatar.npz'}"]
+        raise StageError(f"{place} is no finished run", "give the folder of a run, such as work/dance/default", facts)
+    record, scene, effects = read_trained(train, who)
+    clip = load_clip(sfm, smpl, train, who)
+    times = np.array(read_facts(place / "frames" / "frames.json", Listing).times(clip.names))
+    views = zip(clip.viewmats, clip.Ks, strict=True)
+    return _avatar(
+        record,
+        clip.body_model,
+        device,
+        name=f"{place}" if who == 1 else f"{place}, person {who}",
+        scene=None if scene is None else Gaussians([load_scene(scene, device)]),
+        frames=clip.names,
+        cameras=tuple(Camera.of(viewmat, K, clip.width, clip.height) for viewmat, K in views),
+        clip=Motion.of(clip_move(clip.body, times), clip.body.confidence > 0),
+        floor=read_ground(smpl / "ground.json"),
+        light=replace(effects, shutter=None, readout=None),
+    )
+
+
+def _avatar(record: records.Avatar, model: records.BodyModel | None, device: str, **clip: Any) -> Avatar:
+    baked = load_avatar(with_casters(record, model), device)
+    body = None if model is None else Body(model).to(device)
+    return Avatar(record, baked, body, model, **clip)

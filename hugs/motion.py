@@ -1,0 +1,77 @@
+"""Poses over time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from stages.avatar.motion.formulas import MOTIONS
+from stages.avatar.motion.moves import made_move
+from stages.avatar.motion.placing import Soles
+from stages.records import Ground, Move
+
+
+class Pose(NamedTuple):
+    """A pose of SMPL, or P poses: body_pose [69] or [P,69] and global_orient [3] or [P,3] in rad, transl [3] or [P,3] m."""
+
+    body_pose: np.ndarray
+    global_orient: np.ndarray
+    transl: np.ndarray
+
+
+@dataclass(frozen=True, repr=False)
+class Motion:
+    """F poses in the world of the avatar, `fps` a second; a row, or a slice of rows, is a `Pose`.
+
+    body_pose [F,69] and global_orient [F,3] rotation vectors in rad, transl [F,3] m. `seen` bool [F]: the fit trusts the pose.
+
+        person = avatar.pose(*avatar.motions["clip"][12])
+    """
+
+    body_pose: np.ndarray
+    global_orient: np.ndarray
+    transl: np.ndarray
+    fps: float
+    seen: np.ndarray
+
+    @classmethod
+    def of(cls, move: Move, seen: np.ndarray | None = None) -> Motion:
+        """The motion of a record."""
+        turns, steps = np.asarray(move.rotvecs), np.asarray(move.steps)
+        return cls(turns[:, 3:], turns[:, :3], steps, move.fps, np.ones(len(steps), bool) if seen is None else seen)
+
+    def __len__(self) -> int:
+        return len(self.transl)
+
+    def __getitem__(self, rows: int | slice) -> Pose:
+        return Pose(self.body_pose[rows], self.global_orient[rows], self.transl[rows])
+
+    def __repr__(self) -> str:
+        way = np.linalg.norm(np.diff(self.transl, axis=0), axis=1).sum()
+        return f"<{len(self)} poses, {len(self) / self.fps:.1f} s at {self.fps:.4g} a second, {way:.1f} m of way>"
+
+
+class Motions(Mapping[str, Motion]):
+    """Motions by name, each made when it is asked for: "clip", where there is one, and those that are made by formula."""
+
+    def __init__(self, soles: Soles, ground: Ground, clip: Motion | None):
+        self.soles, self.ground, self.clip = soles, ground, clip
+
+    def __getitem__(self, name: str) -> Motion:
+        if name == "clip" and self.clip is not None:
+            return self.clip
+        if name not in MOTIONS:
+            raise KeyError(name)
+        return Motion.of(made_move(name, self.ground, self.soles))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter([*(["clip"] if self.clip is not None else []), *MOTIONS])
+
+    def __len__(self) -> int:
+        return len(list(iter(self)))
+
+    def __repr__(self) -> str:
+        return f"<motions: {', '.join(self)}>"

@@ -1,0 +1,52 @@
+"""A trained avatar on a body of another shape: its Gaussians go with the skin under them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from stages.avatar.body.smpl import Body
+from stages.avatar.drawing.avatar import Baked, rested
+from stages.avatar.splats.neighbours import nearest
+
+SKIN = 6  # vertices whose mean move, by the inverse square of their distance, a Gaussian follows
+TOUCHING = 1e-3  # m: nearer than that, vertices count alike
+
+
+class Shapes(NamedTuple):
+    """How an avatar changes with the shape of its body, in m per unit of beta: `means` [N,3,10] of its Gaussians, `joints`
+    [24,3,10] and `centres` [K,3,10] of the bones of its clothes, at rest.
+    """
+
+    means: Tensor
+    joints: Tensor
+    centres: Tensor
+
+
+@torch.no_grad()
+def shapes_of(avatar: Baked, body: Body, betas: Tensor) -> Shapes:
+    """The shapes of an avatar that was learned on a `body` of `betas` [10]: each Gaussian, and each bone of clothes, moves as
+    the vertices nearest to it.
+    """
+    skin, _ = body.rest(betas)
+    centres = avatar.resting.means[:0] if avatar.clothing is None else avatar.clothing.centres
+
+    def with_skin(points: Tensor) -> Tensor:
+        away, near = nearest(skin, points, SKIN)
+        share = away.to(points).clamp_min(TOUCHING) ** -2
+        return torch.einsum("nk,nkcb->ncb", share / share.sum(1, keepdim=True), body.shapedirs[near])
+
+    return Shapes(with_skin(avatar.resting.means), body.joint_dirs, with_skin(centres))
+
+
+def in_shape(avatar: Baked, shapes: Shapes, change: Tensor) -> Baked:
+    """The avatar at betas that differ by `change` [10] from its own; differentiable in it. Axes of Gaussians stay as they are."""
+    means, joints, centres = (part @ change for part in shapes)
+    clothing, casters = avatar.clothing, avatar.casters
+    return rested(avatar, avatar.resting._replace(means=avatar.resting.means + means))._replace(
+        joints=avatar.joints + joints,
+        clothing=clothing and clothing.moved(avatar.joints + joints, clothing.centres + centres),
+        casters=casters and casters._replace(middles=casters.middles + joints),
+    )

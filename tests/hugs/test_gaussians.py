@@ -1,0 +1,131 @@
+"""Gaussians and people from Python: arrays or tensors that mean what they say."""
+
+import numpy as np
+import pytest
+import torch
+
+import hugs
+from stages.avatar.body.rotations import matrix_from_quat
+from stages.avatar.body.smpl import Body
+from stages.avatar.drawing.avatar import load_avatar, pose_avatar
+from stages.formats.body_model import read_body_model
+from stages.formats.splats import write_splats
+from tests.made.clothes import dress, some_clothes
+from tests.made.tiny import make_avatar
+
+RNG = np.random.default_rng(0)
+POSE = RNG.normal(0, 0.3, 69)
+
+
+@pytest.fixture(scope="module")
+def record():
+    return dress(make_avatar(read_body_model(), every=40), some_clothes())
+
+
+@pytest.fixture(scope="module")
+def avatar(record, tmp_path_factory):
+    path = tmp_path_factory.mktemp("hugs") / "avatar.npz"
+    write_splats(path, record)
+    return hugs.load(path)
+
+
+def test_a_posed_person_in_arrays(avatar, record, held):
+    person = avatar.pose(POSE, [0, 0.5, 0], transl=(1, 2, 3))
+    tensors = (torch.as_tensor(part, dtype=torch.float32) for part in ([0, 0.5, 0], POSE, [1, 2, 3]))
+    truth = pose_avatar(load_avatar(record), *tensors)
+    np.testing.assert_allclose(person.means, truth.means, atol=1e-6)
+    axes = matrix_from_quat(torch.as_tensor(person.quats)) * torch.as_tensor(person.scales)[:, None]
+    held((axes @ axes.mT - truth.axes @ truth.axes.mT).abs().max(), 1e-7)
+    held(np.abs(person.axes - truth.axes.numpy()).max(), 1e-7)
+    np.testing.assert_array_equal(person.opacities, truth.opacities)
+    np.testing.assert_allclose(person.colors, truth.colors(torch.zeros(3)), atol=1e-6)
+    assert person.sh.shape == (person.count, 1, 3)
+    parts = person.means, person.quats, person.scales, person.colors, person.joints, person.vertices
+    assert {(type(part), part.dtype) for part in parts} == {(np.ndarray, np.dtype("f4"))}
+
+
+@pytest.mark.parametrize("taught", [False, True])
+@pytest.mark.parametrize("view_dependent", [False, True])
+def test_poses_together_are_each_by_itself_in_tensors(taught, view_dependent, avatar, held):
+    """With gradients pose by pose, without in one pass; rotations only where colours have a direction."""
+    if view_dependent:
+        avatar = avatar.changed(sh=torch.randn(len(avatar.record), 4, 3))
+    poses = torch.as_tensor(RNG.normal(0, 0.3, (9, 23, 3))).requires_grad_(taught)
+    places = torch.as_tensor(RNG.normal(0, 1, (9, 3)))
+    person = avatar.pose(poses, transl=places)
+    assert len(person) == 9 and person.means.shape == (9, person.count, 3) and person.joints.shape == (9, 24, 3)
+    for row in (0, 8):
+        for alone in (avatar.pose(poses[row], transl=places[row]), person[row]):
+            for name in ("means", "axes", "joints", "vertices"):
+                held((getattr(person, name)[row] - getattr(alone, name)).abs().max(), 3e-6, name)
+            ours, its = person.sets[row].rotations, alone.sets[0].rotations
+            assert (ours is not None) == view_dependent and (ours is None or (ours - its).abs().max() < 3e-6)
+            assert person.sets[row].means.requires_grad == taught
+    with pytest.raises(IndexError):
+        person[9]
+
+
+def test_joints_and_vertices_are_those_of_the_body(avatar, held):
+    """The free body is known by its joints; its joints are those that the avatar's bones carry."""
+    betas = torch.linspace(-1, 1, 10)
+    person = avatar.pose(torch.as_tensor(POSE), [0.1, 2, 0], [1, 2, 3], betas)
+    turned = torch.tensor([[0.1, 2, 0]]), torch.as_tensor(POSE).float()[None], torch.tensor([[1.0, 2, 3]])
+    vertices, joints = Body(read_body_model())(betas, *turned)
+    held((person.vertices - vertices[0]).abs().max(), 1e-6)
+    held((person.joints - joints[0]).abs().max(), 3e-6)
+    assert avatar.faces.max() == len(vertices[0]) - 1
+
+
+def test_in_another_shape_gaussians_go_with_the_skin_under_them(record, tmp_path):
+    write_splats(tmp_path / "bare.npz", make_avatar(read_body_model(), every=40))
+    bare = hugs.load(tmp_path / "bare.npz")
+    betas = torch.tensor([3.0, -2, 0, 0, 0, 0, 0, 0, 0, 0], requires_grad=True)
+    own, other = bare.pose(torch.zeros(69)), bare.pose(torch.zeros(69), betas=betas)
+    vertices = own.vertices[::40], other.vertices[::40]  # there the Gaussians are
+    moved = other.means - own.means
+    assert moved.norm(dim=1).mean() > 0.03 and (moved - vertices[1] + vertices[0]).norm(dim=1).max() < 0.01
+    other.means.square().sum().backward()
+    assert betas.grad.abs().min() > 0
+    same = bare.pose(torch.zeros(69), betas=np.zeros(10))
+    torch.testing.assert_close(same.means, own.means)
+
+
+def test_the_shape_of_an_unknown_body_is_refused_and_so_are_its_vertices(record, tmp_path):
+    record = make_avatar(read_body_model(), every=40)
+    record.joints[:] += [0.3, 0, 0]
+    write_splats(tmp_path / "other.npz", record)
+    person = hugs.load(tmp_path / "other.npz").pose()
+    assert person.joints.shape == (24, 3)
+    for ask in (lambda: person.vertices, lambda: hugs.load(tmp_path / "other.npz").pose(betas=np.ones(10))):
+        with pytest.raises(hugs.StageError, match="body of this avatar is not known"):
+            ask()
+
+
+@pytest.mark.parametrize(
+    "given, named",
+    [
+        ({"body_pose": np.zeros(72)}, "body_pose"),
+        ({"transl": [0, np.nan, 0]}, "transl"),
+        ({"global_orient": np.eye(3)[None]}, "global_orient"),
+        ({"betas": np.zeros((2, 10))}, "betas"),
+        ({"body_pose": np.zeros((2, 69)), "transl": np.zeros((3, 3))}, r"'body_pose': 2, 'transl': 3"),
+        ({"transl": torch.zeros(3)}, "body_pose is a tensor"),
+    ],
+)
+def test_what_is_no_pose_is_refused_by_name(avatar, given, named):
+    with pytest.raises(ValueError, match=named):
+        avatar.pose(**given)
+
+
+def test_gaussians_of_your_own_keep_their_gradients():
+    parts = [torch.rand(5, 3), torch.randn(5, 4), torch.rand(5, 3), torch.rand(5), torch.randn(5, 4, 3)]
+    own = hugs.Gaussians.of(*(part.requires_grad_() for part in parts))
+    assert own.count == 5 and own.means is parts[0] and own.axes.requires_grad
+    arrays = hugs.Gaussians.of(*(part.detach().numpy() for part in parts))
+    assert isinstance(arrays.means, np.ndarray) and arrays.sh.shape == (5, 4, 3)
+
+
+def test_what_is_shown_of_them_is_short(avatar):
+    for one in (avatar, avatar.pose(), avatar.pose(np.zeros((3, 69))), hugs.camera((0, 0, 3)), avatar.motions):
+        assert "tensor" not in repr(one) and "array" not in repr(one) and len(repr(one)) < 120
+    assert "173 Gaussians in 3 poses" in repr(avatar.pose(np.zeros((3, 69))))
