@@ -100,6 +100,9 @@ class Kept:
         None
     )
     smpl_fit: Annotated[Path | None, Option(help="Body poses to import: the file or folder of another tool.")] = None
+    landmarks: Annotated[
+        Path | None, Option(help="Keypoints to import: OpenPose, MMPose, AlphaPose, ViTPose .json; .csv, .trc, .npz.")
+    ] = None
     body_model: BodyModel = None
     height: Annotated[
         list[str] | None,
@@ -149,6 +152,7 @@ class RunOptions(Kept):
             "mask_files": self.masks,
             "cameras": self.cameras,
             "smpl_fit": self.smpl_fit,
+            "landmarks": self.landmarks,
             "body_model": self.body_model,
         }
         if seeded and int(seeded[1]) > MAX_SEED:

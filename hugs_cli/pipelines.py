@@ -27,6 +27,7 @@ SOURCES = {
     "mask_files": "--masks",
     "cameras": "--cameras",
     "smpl_fit": "--smpl-fit",
+    "landmarks": "--landmarks",
     "body_model": "--body-model",
 }
 PIPELINE_KEYS = ("doc", "extends", "report", "stages")

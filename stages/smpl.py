@@ -1,8 +1,7 @@
-"""frames, sfm (or an SMPL fit of another program) -> body.npz: one body through the clip, in metres in the SfM frame; its floor."""
+"""frames, sfm (or a fit, or landmarks, of another program) -> body.npz: one body through the clip, in metres in the SfM frame."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,19 +16,16 @@ from stages.formats.lengths import Heights, Scale
 from stages.formats.people import folder_of, job_of, people_of
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from stages.estimators.bodyfit.evidence import LandmarkEvidence
     from stages.estimators.bodyfit.fit import BodyFit
     from stages.estimators.bodyfit.inputs import Inputs
     from stages.estimators.bodyfit.metre import Metre
     from stages.estimators.bodyfit.reporting import Fitted
-    from stages.records import BodyPoses, SeenLandmarks
+    from stages.records import BodyPoses
 
 LOADS = contract.ADAM
 OVERLAP_LEAST = 0.5  # mean overlap of an imported body's hull and the mask's below which it is doubtful
 JOINTS_OFF = 0.05  # of the person's height, from the joints that the tool itself drew
-SEEN_LEAST = 0.1  # share of the frames that must show a person
 
 
 class Params(contract.Params):
@@ -41,19 +37,33 @@ class Params(contract.Params):
     """A length that the page measures and its true one, 2.31=2.00; or cameras: those given are in metres."""
 
 
-def check(params: Params, *, video: Path, smpl_fit: Path | None = None, body_model: Path | None = None) -> None:
+def check(
+    params: Params,
+    *,
+    video: Path,
+    smpl_fit: Path | None = None,
+    landmarks: Path | None = None,
+    body_model: Path | None = None,
+) -> None:
     """See `contract.StageModule`."""
     from stages.estimators.bodyfit.inputs import check_given
 
-    check_given(video, smpl_fit, body_model)
+    check_given(video, smpl_fit, body_model, landmarks)
 
 
 def run(
-    job: Job, params: Params, *, frames: Path, sfm: Path, smpl_fit: Path | None = None, body_model: Path | None = None
+    job: Job,
+    params: Params,
+    *,
+    frames: Path,
+    sfm: Path,
+    smpl_fit: Path | None = None,
+    landmarks: Path | None = None,
+    body_model: Path | None = None,
 ) -> None:
     """Write body.npz, body_model.npz, ground.json, smpl.json, and landmarks.npz if the poses were estimated here.
 
-    Poses come from `smpl_fit`, from the fit that a data set brought along, or from BlazePose landmarks and the masks.
+    Poses come from `smpl_fit`, from the fit that a data set brought along, or from `landmarks`, else BlazePose's, and the masks.
     Frames without a person are filled in between their neighbours with confidence 0. Of further people body.npz, smpl.json and
     landmarks.npz are in people/2 and so on, in the world of the first. Raises StageError if nearly no frame shows a person.
     """
@@ -68,7 +78,7 @@ def run(
     from stages.formats.ground import write_ground
 
     clip = read_inputs(read_facts(frames / "frames.json", Listing), sfm, body_model)
-    smpl_fit = smpl_fit or given_by(frames, "smpl_fit.npz")
+    smpl_fit = smpl_fit or (None if landmarks else given_by(frames, "smpl_fit.npz"))
     people, heights = people_of(sfm), params.height or {}
     fits: list[Fitted] = []
     statures: list[float] = []
@@ -80,7 +90,7 @@ def run(
             tall = statures[0] * heights[person] / heights[1]
             one = replace(one, model=clip.model.sized(tall / float(np.ptp(clip.model.v_template[:, 1]))))
         metres = fits[0].poses.world_from_sfm if fits else None
-        fits.append(fit_person(own, folder_of(job.out, person), sfm, one, smpl_fit, metres))
+        fits.append(fit_person(own, folder_of(job.out, person), sfm, one, (smpl_fit, landmarks), metres))
         statures.append(stature_of(fits[-1].model, fits[-1].poses))
     check_apart([fit.poses for fit in fits], smpl_fit)
     metre = find_metre(statures, fits[0].poses.world_from_sfm, clip.moving, heights, params.scale)
@@ -109,16 +119,20 @@ def check_apart(found: list[BodyPoses], smpl_fit: Path | None) -> None:
                 raise StageError(f"{smpl_fit.name} has one person for persons {a + 1} and {b + 1} of the masks", hint)
 
 
-def fit_person(job: Job, folder: Path, sfm: Path, clip: Inputs, smpl_fit: Path | None, metres: float | None) -> Fitted:
-    """The fit of one person, in the world of the first, of `metres` per SfM unit, if there are several."""
+def fit_person(
+    job: Job, folder: Path, sfm: Path, clip: Inputs, given: tuple[Path | None, Path | None], metres: float | None
+) -> Fitted:
+    """The fit of one person, in the world of the first, of `metres` per SfM unit, if there are several; `given` are a fit and
+    landmarks of another program."""
     from stages.estimators.bodyfit.quality import measure_quality
     from stages.estimators.bodyfit.reporting import Fitted
 
+    smpl_fit, landmarks = given
     if smpl_fit is not None:
         poses, facts = import_poses(job, smpl_fit, clip, metres)
         quality = measure_quality(poses, clip.model, clip.cameras, clip.times, clip.clear)
     else:
-        fit, evidence, facts = estimate_poses(job, folder, sfm, clip, metres)
+        fit, evidence, facts = estimate_poses(job, folder, sfm, clip, landmarks, metres)
         poses = fit.poses
         quality = measure_quality(poses, clip.model, clip.cameras, clip.times, clip.clear, evidence, fit.pixels)
     poses = replace(poses, confidence=quality.confidence)
@@ -183,35 +197,29 @@ def import_poses(job: Job, smpl_fit: Path, clip: Inputs, metres: float | None) -
 
 
 def estimate_poses(
-    job: Job, folder: Path, sfm: Path, clip: Inputs, metres: float | None
+    job: Job, folder: Path, sfm: Path, clip: Inputs, given: Path | None, metres: float | None
 ) -> tuple[BodyFit, LandmarkEvidence, dict[str, Any]]:
-    """Fit poses to BlazePose landmarks and the masks; writes landmarks.npz into `folder`.
+    """Fit poses to BlazePose landmarks, or those in the file `given`, and the masks; writes landmarks.npz into `folder`.
 
     Also gives the evidence, facts for smpl.json.
     """
-    from stages.estimators.bodyfit.evidence import drop_cut, drop_strangers, gather, model_landmarks, vote_sides
+    from stages.estimators.bodyfit.evidence import model_landmarks
     from stages.estimators.bodyfit.fit import fit_body
     from stages.estimators.bodyfit.reporting import count_names, known, select
+    from stages.estimators.bodyfit.seen_landmarks import evidence_of
+    from stages.formats.frame_names import plain
     from stages.formats.images import read_image
     from stages.formats.landmarks import write_landmarks
 
     frames, (names, regressor) = clip.cameras.names, model_landmarks(clip.model)
     job.progress(0, 100)
     images = [read_image(sfm / "images" / f"{name}.png") for name in frames]
-    tracks = follow(sfm, clip, images)
+    tracks, evidence, strangers, swapped, found = evidence_of(sfm, clip, images, names, given, job.warn)
     job.progress(40, 100)
-    evidence, strangers = drop_strangers(gather(tracks, names), clip.masks)
-    evidence, swapped = vote_sides(drop_cut(evidence, (clip.cameras.width, clip.cameras.height)))
-    count = int(evidence.seen.sum())
-    if count < max(2, SEEN_LEAST * len(tracks)):
-        who = "a person"
-        hint = "use a clip that shows one whole person, or give a fit of your own with --smpl-fit FIT.npz"
-        if clip.others:
-            who = f"person {clip.person}"
-            hint = "leave them out: follow one with `--person ID`, or give masks of the others alone with --masks"
-        more = [f"{int(strangers.sum())} more frames showed somebody else than the masked person"]
-        raise StageError(f"{who} was found in only {count} of {len(tracks)} frames", hint, more)
     write_landmarks(folder / "landmarks.npz", frames, tracks)
+    if given is not None:
+        where = f"in {found['frames']} of {len(tracks)} frames, off by {found['off']}"
+        job.note(f"landmarks of {plain(given.name)}: {found['skeleton']} {where}")
     others, exchanged = select(frames, strangers), select(frames, swapped)
     if others:
         job.warn(f"left out {count_names(others)}: the landmarks are somebody else's, not the masked person's")
@@ -228,7 +236,8 @@ def estimate_poses(
     if fit.hidden:
         job.note(f"doubtful: wide clothes hide {listed(fit.hidden)}, where outlines say nothing of the body")
     facts = {
-        "source": "blazepose",
+        "source": "blazepose" if given is None else plain(given.name),
+        **({"landmarks": found} if found else {}),
         "scale": fit.scale,
         "cloth_off": [known(off) for off in fit.cloth_off],
         "expected_error_mm": {
@@ -243,20 +252,3 @@ def estimate_poses(
         "sides_exchanged": exchanged,
     }
     return fit, evidence, facts
-
-
-def follow(sfm: Path, clip: Inputs, images: Sequence[np.ndarray]) -> Sequence[SeenLandmarks | None]:
-    """The person's landmarks in each frame: those by which the masks were made, else BlazePose's of whom the masks show."""
-    from stages.estimators.person.blazepose import BlazePose, pick_masked
-    from stages.formats.landmarks import read_landmarks
-
-    if (sfm / "landmarks.npz").exists():
-        known = read_landmarks(sfm / "landmarks.npz")
-        return [known[name] for name in clip.cameras.names]
-    network = BlazePose()
-    if clip.others:
-        from stages.estimators.person.identities import track_masked
-
-        return track_masked(network, images, clip.masks, clip.others)
-    masked = [i for i, mask in enumerate(clip.masks) if (mask > 127).any()]
-    return network.track(images, pick_masked(network.sightings(images, masked), clip.masks))

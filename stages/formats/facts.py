@@ -65,6 +65,9 @@ class Video(Facts):
     path: str
     frames: Whole
     """Of the whole video, not only those that were picked."""
+    width: Whole = 0
+    """Of its own pictures, in px; 0: as those of the frames."""
+    height: Whole = 0
 
 
 class Dataset(Facts):

@@ -11,7 +11,16 @@ from stages.formats.arrays import checked, read_npz, take, write_npz
 from stages.records import SeenLandmarks
 
 HINT = "run the masks stage again: `hugs run VIDEO masks --force`"
-COUNT = 33
+# fmt: off
+NAMES = (
+    "nose", "left_eye_inner", "left_eye", "left_eye_outer", "right_eye_inner", "right_eye", "right_eye_outer",
+    "left_ear", "right_ear", "mouth_left", "mouth_right", "left_shoulder", "right_shoulder", "left_elbow",
+    "right_elbow", "left_wrist", "right_wrist", "left_pinky", "right_pinky", "left_index", "right_index",
+    "left_thumb", "right_thumb", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
+    "left_heel", "right_heel", "left_foot_index", "right_foot_index",
+)
+# fmt: on
+COUNT = len(NAMES)
 
 
 def write_landmarks(path: Path, names: Sequence[str], seen: Sequence[SeenLandmarks | None]) -> None:

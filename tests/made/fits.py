@@ -25,6 +25,8 @@ from stages.avatar.body.smpl import Body
 from stages.estimators.bodyfit.inputs import Inputs
 from stages.formats.body_model import read_body_model
 from stages.formats.facts import Frame, Listing, Video
+from stages.formats.given_landmarks.skeletons import SKELETONS
+from stages.formats.landmarks import NAMES
 from stages.records import BodyModel, Cameras
 from tests.made.datasets import SHIFT, TURN, UNITS
 from tests.made.synthetic import clip as synthetic
@@ -43,6 +45,7 @@ FILES = {
     "WHAM": "wham_output.pkl",
     "GVHMR": "hmr4d_results.pt",
     "TRAM": "tram",
+    "PromptHMR": "results.pkl",
     "EasyMocap": "smpl",
     "AMASS": "poses.npz",
     "AMASS SMPL-X": "stageii.npz",
@@ -146,6 +149,7 @@ def contents(tool: str, truth: Truth) -> Any:
         "WHAM": wham,
         "GVHMR": gvhmr,
         "TRAM": tram,
+        "PromptHMR": prompthmr,
         "EasyMocap": easymocap,
         "AMASS": lambda t: amass(t, 156),
         "AMASS SMPL-X": lambda t: amass(t, 165),
@@ -161,7 +165,7 @@ def write(tool: str, content: Any, folder: Path) -> Path:
         path.mkdir(exist_ok=True)
     if tool == "PHALP":
         joblib_dump(content, path, compress=True)
-    elif tool == "WHAM":
+    elif tool in ("WHAM", "PromptHMR"):
         joblib_dump(content, path)
     elif tool == "GVHMR":
         torch.save(content, path)
@@ -324,6 +328,43 @@ def tram(truth: Truth) -> dict[str, Any]:
         }
         tracks.append(rows)
     return {"camera": camera, "tracks": tracks}
+
+
+def prompthmr(truth: Truth) -> dict[str, Any]:
+    """results.pkl of a pipeline that saves what is essential, its pictures half as large again; a stranger comes first."""
+    people: dict[int, Any] = {}
+    for tid, stranger in ((1, True), (2, False)):
+        orient, pelvis = truth.seen_by(truth.focal, stranger)
+        pose = np.concatenate([orient, truth.views.body_pose[:, :63], np.zeros((len(truth), 9))], 1)
+        cam = {
+            "pose": f32(pose),
+            "shape": f32(np.tile(truth.betas, (len(truth), 1))),
+            "trans": f32(pelvis - SMPLX_PELVIS),
+        }
+        people[tid] = {"track_id": tid, "frames": truth.numbers.copy(), "smplx_cam": cam, "smplx_world": {}}
+    camera = {"img_focal": np.float32(1.5 * truth.focal), "img_center": f32(0.75 * np.array(truth.size))}
+    camera |= {"pred_cam_R": np.tile(np.eye(3), (len(truth), 1, 1)), "pred_cam_T": np.zeros((len(truth), 3))}
+    return {"camera": camera, "people": people, "timings": {}, "has_tracks": True, "contact_joint_ids": [7, 10, 8, 11]}
+
+
+def sam_3d_body(truth: Truth, points: np.ndarray, pictures: float = 2.0) -> list[list[dict[str, Any]]]:
+    """What process_one_image returns for each picture, `pictures` times as large as ours, of BlazePose's `points` [N,33,3] m in
+    the camera; a stranger comes first."""
+    focal, found = pictures * truth.focal, []
+    for row in points:
+        people = []
+        for aside in (STRANGER, np.zeros(3)):
+            seen = np.nan_to_num(np.stack([row[NAMES.index(n)] if n else row[0] for n in SKELETONS["MHR-70"]])) + aside
+            place = seen.mean(0)
+            pixels = focal * seen[:, :2] / seen[:, 2:] + pictures * np.array(truth.size) / 2
+            person = {
+                "pred_keypoints_3d": f32(seen - place),
+                "pred_cam_t": f32(place),
+                "focal_length": np.float32(focal),
+            }
+            people.append({**person, "pred_keypoints_2d": f32(pixels), "bbox": f32(np.zeros(4)), "mask": None})
+        found.append(people)
+    return found
 
 
 def easymocap(truth: Truth) -> dict[str, Any]:

@@ -16,12 +16,15 @@ from stages import smpl
 from stages.avatar.body.rotations import rotvec_from_matrix
 from stages.avatar.body.smpl import Body
 from stages.avatar.body.smpl_rest import smpl_rest
+from stages.avatar.cameras.pinhole import project, rescale_viewmats
 from stages.avatar.motion.placing import Soles
 from stages.contract import Job, StageError
 from stages.estimators.bodyfit import reporting
+from stages.estimators.bodyfit.evidence import STAND_INS, model_landmarks
 from stages.estimators.bodyfit.floor import floor_of
 from stages.estimators.bodyfit.inputs import of_person, read_inputs, touch
 from stages.estimators.bodyfit.resting import carry_over
+from stages.estimators.bodyfit.seen_landmarks import follow
 from stages.estimators.person import blazepose
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import write_cameras
@@ -29,15 +32,16 @@ from stages.formats.facts import Listing, read_facts
 from stages.formats.given_fits.record import SMPLX_PELVIS
 from stages.formats.ground import read_ground
 from stages.formats.images import write_image, write_mask
-from stages.formats.landmarks import write_landmarks
+from stages.formats.landmarks import NAMES, write_landmarks
 from stages.formats.points import write_points
 from stages.formats.poses import read_poses
 from stages.records import BodyPoses
-from tests.made import bodyfit_clips
+from tests.made import bodyfit_clips, landmark_files
 from tests.made.possible import impossible
 from tests.made.said import any_holds, holds
 
 MODEL = read_body_model()
+WIDTH, HEIGHT = bodyfit_clips.WIDTH, bodyfit_clips.HEIGHT
 LIMBS = [4, 5, 7, 8, 16, 17, 18, 19, 20, 21]
 ASIDE = 1.3
 
@@ -54,7 +58,9 @@ def folders(tmp_path_factory):
         {"name": n, "index": int(n), "time_s": float(t)} for n, t in zip(clip.cameras.names, clip.times, strict=True)
     ]
     video = {"path": "clip.mp4", "frames": len(listing)}
-    (frames / "frames.json").write_text(json.dumps({"width": 1, "height": 1, "video": video, "frames": listing}))
+    (frames / "frames.json").write_text(
+        json.dumps({"width": WIDTH, "height": HEIGHT, "video": video, "frames": listing})
+    )
     (sfm / "sfm.json").write_text(json.dumps({"verdict": "moving", "distortion": {"max_shift_px": 0.0}}))
     write_cameras(sfm / "cameras.npz", clip.cameras)
     write_points(sfm / "points.ply", clip.points, np.zeros((len(clip.points), 3), np.uint8))
@@ -266,6 +272,27 @@ def test_j05_landmarks_become_poses_and_frames_without_a_person_are_named(folder
         assert landmarks["xy"].shape == (16, 33, 2) and (landmarks["visibility"][13] == 0).all()
 
 
+@pytest.mark.slow
+def test_landmarks_of_another_program_take_blazeposes_place(folders, tmp_path, monkeypatch):
+    bodyfit_clips.take_steps(monkeypatch, 50, 30, 60)
+    clip, frames, sfm = folders
+    monkeypatch.setattr(blazepose.BlazePose, "__init__", lambda self: None)
+    monkeypatch.setattr(blazepose.BlazePose, "sightings", lambda self, images, among: [])
+    monkeypatch.setattr(blazepose.BlazePose, "track", lambda self, images, start: clip.tracks)
+    (names, regressor), views = model_landmarks(MODEL), rescale_viewmats(clip.cameras.viewmats, clip.scale)
+    true, _ = project(regressor @ clip.vertices, views, clip.cameras.Ks)
+    points = np.full((16, 33, 2), np.nan)
+    for k, name in enumerate(names):
+        points[:, [NAMES.index(one) for one in STAND_INS.get(name, (name,))]] = true[:, k, None]
+    path = landmark_files.openpose(tmp_path / "keypoints", points * [1, -1] + [0, HEIGHT])
+    poses, facts, said = run(tmp_path / "out", frames, sfm, landmarks=path)
+    error = np.linalg.norm(world_joints(poses) * clip.scale / poses.world_from_sfm - clip.joints, axis=-1)
+    assert error.mean() < 0.05 and facts["mean_error_px"] < 6 and facts["not_seen"] == []
+    assert facts["source"] == "keypoints" and facts["landmarks"]["skeleton"] == "OpenPose BODY_25"
+    texts = [event["text"] for event in said if event["event"] in ("note", "warning")]
+    assert any_holds(texts, "keypoints", "y") and any_holds(texts, "keypoints", "16 of 16")
+
+
 def test_the_landmarks_by_which_masks_were_made_are_taken_and_nobody_looks_again(folders, tmp_path, monkeypatch):
     clip = folders[0]
     names, tracks = clip.cameras.names, clip.tracks
@@ -276,11 +303,11 @@ def test_the_landmarks_by_which_masks_were_made_are_taken_and_nobody_looks_again
     monkeypatch.setattr(blazepose.BlazePose, "__init__", looks_again)
     known = SimpleNamespace(cameras=clip.cameras, others=())
     write_landmarks(tmp_path / "landmarks.npz", [*names[::-1], "one more"], [*tracks[::-1], tracks[0]])
-    taken = smpl.follow(tmp_path, known, [])
+    taken = follow(tmp_path, known, [])
     assert [one is None for one in taken] == [one is None for one in tracks]
     assert all((a.xy == b.xy).all() for a, b in zip(taken, tracks) if b is not None)
     with pytest.raises(AssertionError, match="looks again"):
-        smpl.follow(tmp_path / "without", known, [])
+        follow(tmp_path / "without", known, [])
 
 
 def test_j05_nobody_in_the_clip_is_an_error(folders, tmp_path, monkeypatch):
@@ -306,7 +333,7 @@ def test_of_several_people_the_one_without_poses_is_named(folders, tmp_path, mon
     inputs = read_inputs(read_facts(frames / "frames.json", Listing), sfm, None)
     second = of_person(inputs, tmp_path / "sfm", 2)
     with pytest.raises(StageError, match=r"person 2 .* 0 of 16 frames") as error:
-        smpl.estimate_poses(Job(out=tmp_path), tmp_path, tmp_path / "sfm", second, 1.0)
+        smpl.estimate_poses(Job(out=tmp_path), tmp_path, tmp_path / "sfm", second, None, 1.0)
     assert "--person ID" in error.value.hint
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stages.estimators.person.blazepose import NAMES
+from stages.formats.landmarks import NAMES
 from stages.records import JOINT_NAMES, BodyModel, SeenLandmarks
 
 STAND_INS = {
@@ -39,6 +39,7 @@ class LandmarkEvidence:
 
     `xy` [F,K,2] px; `weight` [F,K] 0..1, zero where nothing is known; `world` [F,K,3] m about the hips with camera axes
     (x right, y down, z away); `seen` [F] bool: somebody was found; `height` [F] px: size of the person in the picture.
+    `deep` [F,K] bool: `world` was seen, and not filled in between frames; `trust` [K] against BlazePose's landmarks. None: all, 1.
     """
 
     names: tuple[str, ...]
@@ -47,6 +48,8 @@ class LandmarkEvidence:
     world: np.ndarray
     seen: np.ndarray
     height: np.ndarray
+    deep: np.ndarray | None = None
+    trust: np.ndarray | None = None
 
     @property
     def middle(self) -> np.ndarray:
@@ -61,6 +64,22 @@ class LandmarkEvidence:
     def column(self, name: str) -> int:
         return self.names.index(name)
 
+    def frames(self, rows: np.ndarray) -> LandmarkEvidence:
+        """The same with these frames alone."""
+        deep = None if self.deep is None else self.deep[rows]
+        each = {key: getattr(self, key)[rows] for key in ("xy", "weight", "world", "seen", "height")}
+        return LandmarkEvidence(self.names, **each, deep=deep, trust=self.trust)
+
+    def trusted(self, name: str) -> float:
+        """Trust in a landmark against BlazePose's."""
+        return 1.0 if self.trust is None else float(self.trust[self.column(name)])
+
+    def limbs(self, ends: list[int], starts: list[int]) -> np.ndarray:
+        """Trust [F,S] in the directions between columns: 1, or 0 where they were not seen, whatever that in the places is."""
+        trust = np.array([self.trusted(name) for name in self.names])
+        deep = np.ones((len(self.seen), len(ends))) if self.deep is None else self.deep[:, ends] & self.deep[:, starts]
+        return deep / np.sqrt(trust[ends] * trust[starts])
+
 
 def model_landmarks(model: BodyModel) -> tuple[tuple[str, ...], np.ndarray]:
     """Names [K] and regressor [K,V] of the model's points that BlazePose sees: its landmarks, and the hands' joints."""
@@ -71,8 +90,11 @@ def model_landmarks(model: BodyModel) -> tuple[tuple[str, ...], np.ndarray]:
     return tuple(names[i] for i in kept) + tuple(hands), np.concatenate(rows)
 
 
-def gather(tracks: Sequence[SeenLandmarks | None], names: tuple[str, ...]) -> LandmarkEvidence:
-    """BlazePose's poses (None: nobody was found) as evidence under the model's `names`."""
+def gather(tracks: Sequence[SeenLandmarks | None], names: tuple[str, ...], flat: float = FLAT) -> LandmarkEvidence:
+    """BlazePose's poses (None: nobody was found) as evidence under the model's `names`, their depths `flat` times too small.
+
+    Of landmarks of other networks a place or a depth may be NaN: then it has no weight, or is filled in between frames.
+    """
     sources = [[NAMES.index(s) for s in STAND_INS.get(name, (name,))] for name in names]
     count, points = len(tracks), len(names)
     xy, world, weight = np.zeros((count, points, 2)), np.zeros((count, points, 3)), np.zeros((count, points))
@@ -83,12 +105,23 @@ def gather(tracks: Sequence[SeenLandmarks | None], names: tuple[str, ...]) -> La
             xy[i, k] = np.asarray(track.xy, np.float64)[source].mean(0)
             world[i, k] = np.asarray(track.world, np.float64)[source].mean(0)
             weight[i, k] = np.asarray(track.visibility, np.float64)[source].mean()
-    world[..., 2] *= FLAT
-    weight = np.where(np.isfinite(xy).all(-1) & np.isfinite(world).all(-1), weight, 0.0)
-    xy, world = np.where(weight[..., None] > 0, xy, 0.0), np.where(weight[..., None] > 0, world, 0.0)
+    world[..., 2] *= flat
+    weight, xy = np.where(np.isfinite(xy).all(-1), weight, 0.0), np.where(np.isfinite(xy), xy, 0.0)
     seen = np.array([track is not None for track in tracks]) & ((weight > 0.3).sum(1) >= LEAST)
     weight[~seen] = 0
-    return LandmarkEvidence(names, xy, weight, world, seen, _heights(xy, weight, seen))
+    deep = np.isfinite(world).all(-1) & seen[:, None]
+    return LandmarkEvidence(names, xy, weight, _filled(world, deep), seen, _heights(xy, weight, seen), deep)
+
+
+def _filled(world: np.ndarray, deep: np.ndarray) -> np.ndarray:
+    """Points [F,K,3], those that are not finite filled in between frames where they are `deep` [F,K]; 0 where none is."""
+    filled = np.nan_to_num(world)
+    for k in np.flatnonzero(~np.isfinite(world).all((0, 2))):
+        known = np.flatnonzero(deep[:, k])
+        if len(known):
+            columns = [np.interp(np.arange(len(world)), known, world[known, k, axis]) for axis in range(3)]
+            filled[:, k] = np.where(np.isfinite(world[:, k]), world[:, k], np.stack(columns, -1))
+    return filled
 
 
 def _heights(xy: np.ndarray, weight: np.ndarray, seen: np.ndarray) -> np.ndarray:
@@ -191,11 +224,14 @@ def vote_sides(evidence: LandmarkEvidence) -> tuple[LandmarkEvidence, np.ndarray
     for step in range(len(frames) - 1, 0, -1):
         state[step - 1] = back[step, state[step]]
     xy, world, weight = evidence.xy.copy(), evidence.world.copy(), evidence.weight.copy()
+    deep = None if evidence.deep is None else evidence.deep.copy()
     for i, s in zip(frames, state, strict=True):
         xy[i], world[i], weight[i] = xy[i, orders[s]], world[i, orders[s]] * near_far[s], weight[i, orders[s]]
+        if deep is not None:
+            deep[i] = deep[i, orders[s]]
     changed = np.zeros(len(evidence.seen), bool)
     changed[frames] = state > 0
-    return replace(evidence, xy=xy, world=world, weight=weight), changed
+    return replace(evidence, xy=xy, world=world, weight=weight, deep=deep), changed
 
 
 def joint_trust(evidence: LandmarkEvidence) -> np.ndarray:

@@ -149,10 +149,7 @@ def _make_solver(
     Camera centres are taken about their mean, so that float32 keeps what differs.
     """
     evidence, cameras, times = inputs.evidence, inputs.cameras, inputs.times
-    part = LandmarkEvidence(
-        evidence.names,
-        *(getattr(evidence, key)[rows] for key in ("xy", "weight", "world", "seen", "height")),
-    )
+    part = evidence.frames(rows)
     middle = cameras.centers.mean(0)
     up, up_spread = slope or (camera_up(cameras.viewmats) if floor is None else (floor.normal, FLOOR_TILT))
     world = World(

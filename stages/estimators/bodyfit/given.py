@@ -14,6 +14,7 @@ from stages.avatar.cameras.pinhole import project, rescale_viewmats
 from stages.estimators.bodyfit.contact import sole_vertices
 from stages.estimators.bodyfit.fit import KNOWN
 from stages.estimators.bodyfit.frames import join_frames
+from stages.estimators.bodyfit.from_points import from_points
 from stages.estimators.bodyfit.gravity import camera_up, trunk_up
 from stages.estimators.bodyfit.inputs import Inputs
 from stages.estimators.bodyfit.person import choose_person
@@ -38,6 +39,8 @@ def import_fit(fit: SmplFit, clip: Inputs, metres: float | None = None) -> tuple
     """
     model, cameras, times = clip.model, clip.cameras, clip.times
     fit, frames = join_frames(fit, clip.listing)
+    if fit.points is not None:
+        fit = from_points(fit, model)
     if model.name == FREE and fit.body == SMPL:
         fit = onto_body(fit, model)
     fit, rows, person = choose_person(fit, frames, cameras, clip.masks, model)

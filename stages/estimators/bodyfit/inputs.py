@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from stages.contract import StageError
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras
 from stages.formats.facts import Listing, Sfm, read_facts
@@ -65,10 +66,21 @@ def read_inputs(listing: Listing, sfm: Path, body_model: Path | None) -> Inputs:
     )
 
 
-def check_given(video: Path, smpl_fit: Path | None, body_model: Path | None) -> None:
-    """StageError for a file that is no body model, or no fit of pictures like the clip's; a data set brings its own."""
+def check_given(video: Path, smpl_fit: Path | None, body_model: Path | None, landmarks: Path | None) -> None:
+    """StageError for a file that is no body model, no fit of pictures like the clip's, or no landmarks of it; a data set brings
+    its own fit."""
     if body_model is not None:
         read_body_model(body_model)
+    if landmarks is not None:
+        from stages.estimators.bodyfit.given_landmarks import check_landmarks
+        from stages.formats.given_landmarks.recognize import read_landmark_file
+
+        if smpl_fit is not None:
+            raise StageError("a body fit and landmarks are given", "give one of them: `--smpl-fit` needs no landmarks")
+        if (clip := whole_clip(video)) is not None:
+            check_landmarks(landmarks, clip)
+        else:
+            read_landmark_file(landmarks, (1, 1))
     if smpl_fit is not None and (clip := whole_clip(video)):
         from stages.formats.given_fits.recognize import read_smpl_fit
 

@@ -84,22 +84,26 @@ def carry_over(
 
 
 def nearest_shape(joints: np.ndarray, change: np.ndarray, theirs: np.ndarray) -> np.ndarray:
-    """Betas [B] of a body with `joints` [24,3] at rest and their `change` [24,3,B], whose limbs and trunk are as long as theirs.
+    """Betas [B] of a body with `joints` [24,3] at rest and their `change` [24,3,B], whose limbs and trunk are as long as theirs."""
+    return nearest_lengths(joints, change, SEGMENTS, np.linalg.norm(SEGMENTS @ theirs, axis=1))
+
+
+def nearest_lengths(joints: np.ndarray, change: np.ndarray, segments: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Betas [B] of a body with `joints` [24,3] at rest and their `change` [24,3,B], its `segments` [S,24] `wanted` [S] m long.
 
     Least squares in metres, a beta of 1 counting as STRENGTH m; five steps of Gauss and Newton.
     """
-    wanted = np.linalg.norm(_SEGMENTS @ theirs, axis=1)
     betas = np.zeros(change.shape[2])
     for _ in range(5):
-        bones = _SEGMENTS @ (joints + change @ betas)
+        bones = segments @ (joints + change @ betas)
         length = np.linalg.norm(bones, axis=1)
-        slope = np.einsum("jc,jk,kcb->jb", bones / length[:, None], _SEGMENTS, change)
+        slope = np.einsum("jc,jk,kcb->jb", bones / length[:, None], segments, change)
         left = np.concatenate([wanted - length, -STRENGTH * betas])
         betas = betas + np.linalg.lstsq(np.concatenate([slope, STRENGTH * np.eye(len(betas))]), left, rcond=None)[0]
     return betas
 
 
-def _lines(*ends: tuple[tuple[int, ...], tuple[int, ...]]) -> np.ndarray:
+def lines_between(*ends: tuple[tuple[int, ...], tuple[int, ...]]) -> np.ndarray:
     """Weights [L,24] of joints, each row from the middle of some joints to the middle of others."""
     found = np.zeros((len(ends), 24))
     for row, (start, end) in zip(found, ends, strict=True):
@@ -112,7 +116,8 @@ def _unit(v: np.ndarray) -> np.ndarray:
     return v / np.linalg.norm(v, axis=-1, keepdims=True)
 
 
-_TRUNK = _lines(((2,), (1,)), ((17,), (16,)), ((1, 2), (12,)))
+_TRUNK = lines_between(((2,), (1,)), ((17,), (16,)), ((1, 2), (12,)))
 _AIMS = {1: 4, 2: 5, 4: 7, 5: 8, 7: 10, 8: 11, 12: 15, 13: 16, 14: 17, 16: 18, 17: 19, 18: 20, 19: 21}
 _LIMBS = tuple(((a,), (b,)) for a, b in ((1, 4), (2, 5), (4, 7), (5, 8), (16, 18), (17, 19), (18, 20), (19, 21)))
-_SEGMENTS = np.concatenate([_TRUNK[2:], _lines(*_LIMBS)])
+SEGMENTS = np.concatenate([_TRUNK[2:], lines_between(*_LIMBS)])
+"""Trunk, thighs, shanks, upper arms and forearms, each left and right."""

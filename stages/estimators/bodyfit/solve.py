@@ -105,7 +105,7 @@ class Solver:
         self.landmarks = Landmarks(body, regressor)
         f32 = torch.float32
         self.K, self.xy, self.height = (torch.tensor(a, dtype=f32) for a in (Ks, evidence.xy, evidence.height))
-        trust = [LOOSE.get(name.partition("_")[2], 1.0) for name in evidence.names]
+        trust = [LOOSE.get(name.partition("_")[2], 1.0) * evidence.trusted(name) for name in evidence.names]
         # what BlazePose calls 30 % visible is a guess: an arm behind the body is 10 to 30 % of the height off
         self.weight = torch.tensor(evidence.weight, dtype=f32).square() * torch.tensor(trust)
         names = evidence.names
@@ -114,7 +114,8 @@ class Solver:
         guessed = torch.tensor(evidence.world, dtype=f32)
         self.guessed = guessed[:, self.head] - guessed[:, self.tail]
         self.sight = terms.sight_turns(torch.tensor(evidence.middle, dtype=f32), self.K)
-        self.segment_weight = (self.weight[:, self.head] * self.weight[:, self.tail]).sqrt()
+        limbs = torch.tensor(evidence.limbs(self.head, self.tail), dtype=f32)
+        self.segment_weight = (self.weight[:, self.head] * self.weight[:, self.tail]).sqrt() * limbs
         self.segment_spread = torch.tensor([DIRECTION[names[end].partition("_")[2]] for end in self.head])
         self.spread = terms.joint_spreads()
         parts = [name.removeprefix("left_").removeprefix("right_").rstrip("123") for name in JOINT_NAMES]

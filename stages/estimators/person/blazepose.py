@@ -16,6 +16,7 @@ from ai_edge_litert.interpreter import Interpreter
 
 from stages.estimators import assets
 from stages.estimators.person.crops import Roi, crop, to_picture
+from stages.formats.landmarks import NAMES
 from stages.records import SeenLandmarks
 
 LANDMARKS = 33
@@ -32,15 +33,6 @@ WIDER = 1.6  # times the side of a person's crop in which they are detected agai
 BETTER = 0.005  # by which the probability of a person must grow to leave the crop that the frames before led to
 STRAY = 0.03  # share of the crop's side by which one look's landmark may differ from the middle one to be averaged
 
-# fmt: off
-NAMES = (
-    "nose", "left_eye_inner", "left_eye", "left_eye_outer", "right_eye_inner", "right_eye", "right_eye_outer",
-    "left_ear", "right_ear", "mouth_left", "mouth_right", "left_shoulder", "right_shoulder", "left_elbow",
-    "right_elbow", "left_wrist", "right_wrist", "left_pinky", "right_pinky", "left_index", "right_index",
-    "left_thumb", "right_thumb", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
-    "left_heel", "right_heel", "left_foot_index", "right_foot_index",
-)
-# fmt: on
 TORSO = [NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "hip")]
 MIRRORED = [
     NAMES.index(name.replace("left", "RIGHT").replace("right", "left").replace("RIGHT", "right")) for name in NAMES

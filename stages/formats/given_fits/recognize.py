@@ -7,12 +7,15 @@
 | WHAM              | wham_output.pkl                                          | everybody | video.py         |
 | GVHMR             | hmr4d_results.pt                                         | one       | video.py         |
 | TRAM              | the folder with camera.npy and hps/                      | everybody | video.py         |
+| PromptHMR         | results.pkl                                              | everybody | video.py         |
+| SAM 3D Body       | what process_one_image returned, saved by whatever means | everybody | mhr.py           |
 | EasyMocap         | the folder of .json                                      | everybody | easymocap.py     |
 | plain, AMASS, ... | .npz of arrays                                           | one       | npz.py           |
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -21,19 +24,20 @@ import numpy as np
 
 from stages.contract import StageError
 from stages.formats.given_fits.easymocap import read_easymocap
+from stages.formats.given_fits.mhr import is_mhr, read_mhr
 from stages.formats.given_fits.npz import TRANSL, read_plain
 from stages.formats.given_fits.people import read_phalp, read_romp
 from stages.formats.given_fits.record import SmplFit, join_fits
-from stages.formats.given_fits.video import read_gvhmr, read_tram, read_wham
+from stages.formats.given_fits.video import read_gvhmr, read_prompthmr, read_tram, read_wham
 from stages.formats.tool_pickles import read_tool_file
 
 HINT = (
-    "a fit is an .npz with betas, global_orient, body_pose and transl, or what 4D-Humans, ROMP, WHAM, GVHMR, TRAM or "
-    "EasyMocap wrote"
+    "a fit is an .npz with betas, global_orient, body_pose and transl, or what 4D-Humans, ROMP, WHAM, GVHMR, TRAM, "
+    "PromptHMR, SAM 3D Body or EasyMocap wrote"
 )
 WHOLE = ("hmr4d_results.pt", "wham_output.pkl", "video_results.npz")
 """Files that hold all frames of a folder."""
-OWN_FOCAL = ("GVHMR", "TRAM")
+OWN_FOCAL = ("GVHMR", "TRAM", "PromptHMR")
 """Tools that tell a focal length of their own for each clip."""
 
 
@@ -48,7 +52,8 @@ def read_smpl_fit(path: Path, size: tuple[int, int]) -> SmplFit:
     if path.is_dir():
         return _read_folder(path, size)
     if path.suffix == ".json":
-        return read_easymocap([path], str(path))
+        content = _json(path)
+        return read_mhr(content, str(path), size, path.stem) if is_mhr(content) else read_easymocap([path], str(path))
     return _recognised(read_tool_file(path, HINT), path, size)
 
 
@@ -65,24 +70,39 @@ def _read_folder(folder: Path, size: tuple[int, int]) -> SmplFit:
     if (folder / "hps").is_dir():
         return read_tram(folder, size)
     whole = [folder / name for name in WHOLE if (folder / name).is_file()]
-    kinds = {suffix: sorted(folder.glob(f"*{suffix}")) for suffix in (".json", ".npz", ".pkl")}
+    kinds = {suffix: sorted(folder.glob(f"*{suffix}")) for suffix in (".json", ".npz", ".npy", ".pkl")}
     if whole or len(kinds[".pkl"]) == 1:
         return read_smpl_fit((whole or kinds[".pkl"])[0], size)
-    if kinds[".json"]:
+    if kinds[".json"] and not is_mhr(_json(kinds[".json"][0])):
         return read_easymocap(kinds[".json"], str(folder))
-    fits = [_recognised(read_tool_file(file, HINT), file, size) for file in kinds[".npz"]]
-    if fits and {fit.tool for fit in fits} == {"ROMP"}:
+    many = max(kinds.values(), key=len)
+    fits = [
+        _recognised(_json(file) if file.suffix == ".json" else read_tool_file(file, HINT), file, size) for file in many
+    ]
+    if fits and {fit.tool for fit in fits} in ({"ROMP"}, {"SAM 3D Body"}):
         return join_fits(fits, str(folder))
     found = ", ".join(sorted(file.name for file in folder.iterdir())[:8]) or "nothing"
     raise StageError(f"{folder} holds no known SMPL fit", HINT, [f"found {found}"])
 
 
+def _json(path: Path) -> Any:
+    """What a .json holds, None where it is none: its reader says what is wrong."""
+    try:
+        return json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return None
+
+
 def _recognised(content: Any, path: Path, size: tuple[int, int]) -> SmplFit:
+    if is_mhr(content):
+        return read_mhr(content, str(path), size, path.stem)
     if isinstance(content, Mapping) and content:
         first = next(iter(content.values()))
         inner = first.keys() if isinstance(first, Mapping) else ()
         if "smpl_params_incam" in content:
             return read_gvhmr(dict(content), str(path), size)
+        if {"people", "camera"} <= set(content) and isinstance(content["people"], Mapping):
+            return read_prompthmr(dict(content), str(path), size)
         if "results" in content:
             return read_romp(dict(content), str(path), size, path.stem)
         if "pred_rotmat" in content:

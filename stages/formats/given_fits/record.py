@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -34,7 +34,8 @@ class SmplFit:
     different people too. `turns` [N,3]: rotation vectors, part of `global_orient`, by which the posed body was turned
     about the origin instead of its pelvis. `pelvis` [3] is the rest pelvis about which the tool's own body turns, where
     it is not SMPL's; `offset` [N,3] m, turned as `global_orient` is, leads from there to the pelvis of our body, where that
-    is another point. `joints2d` [N,24,2] px is where the tool itself sees SMPL's joints, NaN where it does not say.
+    is another point. `points` [N,33,3] m are BlazePose's points in the camera, of which the pose is yet to be made. `joints2d`
+    [N,24,2] px is where the tool itself sees SMPL's joints, NaN where it does not say.
     `body` is whose poses they are: SMPL's, those of another body by its name, or "" for the body of this run, whichever
     that is. `notes` say what was left out or simplified.
     """
@@ -56,8 +57,10 @@ class SmplFit:
     pelvis: np.ndarray | None = None
     offset: np.ndarray | None = None
     joints2d: np.ndarray | None = None
+    points: np.ndarray | None = None
     body: str = SMPL
     notes: tuple[str, ...] = ()
+    what: ClassVar[str] = "poses"
 
     def __len__(self) -> int:
         return len(self.transl)

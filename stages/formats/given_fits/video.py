@@ -1,8 +1,8 @@
-"""Fits of WHAM, GVHMR and TRAM: one track of poses a person, in the camera of each frame.
+"""Fits of WHAM, GVHMR, TRAM and PromptHMR: one track of poses a person, in the camera of each frame.
 
 Each tool has its own world, so poses are read in the camera, and this clip's cameras place them.
 Sources: WHAM demo.py and lib/utils/imutils.py, GVHMR tools/demo/demo.py, TRAM scripts/estimate_humans.py and
-lib/models/hmr_vimo.py.
+lib/models/hmr_vimo.py, PromptHMR pipeline/pipeline.py and phmr_vid.py.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from stages.formats.tool_pickles import read_tool_file
 
 WHAM_HINT = "give wham_output.pkl, as `python demo.py --save_pkl` of WHAM writes it"
 GVHMR_HINT = "give hmr4d_results.pt, as tools/demo/demo.py of GVHMR writes it"
+PROMPT_HINT = "give results.pkl, as scripts/demo_video.py of PromptHMR writes it"
 TRAM_HINT = "give the folder results/VIDEO of TRAM, with camera.npy and hps/hps_track_*.npy"
 
 
@@ -102,6 +103,41 @@ def read_tram(folder: Path, size: tuple[int, int]) -> SmplFit:
             )
         )
     return join_fits(fits, str(folder))
+
+
+def read_prompthmr(content: dict[str, Any], path: str, size: tuple[int, int]) -> SmplFit:
+    """results.pkl: camera (img_focal, img_center), and people: id -> frames [N], smplx_cam with pose [N,75] (root, 21 joints, 3 of
+    the face), shape [N,10] and trans [N,3] of SMPL-X.
+
+    Pictures were made up to 896 px high; frames are counted from 0.
+    """
+    camera = Fields(content["camera"], f"camera of {path}", PROMPT_HINT)
+    center = camera.get("img_center", 2)
+    ratio = float(same_picture(2 * center[None], size, camera.where, PROMPT_HINT)[0])
+    focal = float(_focal(camera.get("img_focal") * ratio, camera.where, PROMPT_HINT))
+    fits = []
+    for track, values in content["people"].items():
+        person = Fields(values, f"person {track} of {path}", PROMPT_HINT)
+        body = Fields(person.take("smplx_cam"), f"smplx_cam of {person.where}", PROMPT_HINT)
+        count = body.count("pose")
+        pose = body.rotations("pose", count, 25)
+        fits.append(
+            SmplFit(
+                path,
+                "PromptHMR",
+                betas=body.betas("shape", count),
+                global_orient=pose[:, :3],
+                body_pose=np.concatenate([pose[:, 3:66], np.zeros((count, 6))], 1),
+                transl=body.get("trans", count, 3),
+                numbers=_numbers(person, "frames", count),
+                tracks=(str(track),) * count,
+                focal=np.full(count, focal),
+                center=np.tile(center * ratio, (count, 1)),
+                pelvis=SMPLX_PELVIS,
+                notes=(OTHER_SHAPE.format("SMPL-X"),),
+            )
+        )
+    return join_fits(fits, path)
 
 
 def _numbers(person: Fields, key: str, count: int) -> np.ndarray:

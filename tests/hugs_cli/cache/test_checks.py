@@ -21,6 +21,7 @@ from stages.contract import StageError
 from stages.formats.body_model import FREE_BODY
 from stages.formats.datasets.neuman import FIT
 from stages.formats.video import write_video
+from tests.made import landmark_files
 from tests.made.said import holds
 
 WIDTH, HEIGHT, FRAMES = 96, 128, 12
@@ -61,6 +62,8 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
         np.save(room / f"{name}.npy", np.zeros((count, HEIGHT, WIDTH), np.uint8))
     zeros = {name: np.zeros((FRAMES, n)) for name, n in {"global_orient": 3, "body_pose": 69, "transl": 3}.items()}
     np.savez(room / "fit.npz", betas=np.zeros(10), **zeros)
+    for name, count in {"points": 9, "whole_points": FRAMES}.items():
+        np.save(room / f"{name}.npy", landmark_files.triples("COCO-17", landmark_files.somebody(count)))
     np.savez(room / "other.npz", colours=np.zeros((4, 3)))
     rows = [{"file_path": f"at_{i}.png", "transform_matrix": np.eye(4).tolist()} for i in every]
     for name, w, h in (("turned", HEIGHT, WIDTH), ("large", 2 * WIDTH, 2 * HEIGHT)):
@@ -131,6 +134,8 @@ WRONG: dict[str, tuple[tuple[str, ...], dict[str, str], tuple[str, ...], str]] =
     "an address for masks": (("film.mp4",), {"masks": "http://a.example/m"}, ("http://a.example/m", "--masks"), "path"),
     "sound for a fit": (("film.mp4",), {"smpl_fit": "song.mp3"}, ("song.mp3", "sound"), "global_orient"),
     "other arrays for a fit": (("film.mp4",), {"smpl_fit": "other.npz"}, ("other.npz", "transl"), "global_orient"),
+    "sound for landmarks": (("film.mp4",), {"landmarks": "song.mp3"}, ("song.mp3", "sound"), "--landmarks"),
+    "landmarks of a shorter film": (("film.mp4",), {"landmarks": "points.npy"}, ("points.npy", "9", "12"), "names"),
     "no cameras": (("film.mp4",), {"cameras": "empty"}, ("no cameras", "empty"), "COLMAP"),
     "a picture for cameras": (("film.mp4",), {"cameras": "still.jpg"}, ("still.jpg", "cameras", ".jpg"), "COLMAP"),
     "cameras turned": (("film.mp4",), {"cameras": "turned.json"}, ("128x96", "96x128"), "upright"),
@@ -165,6 +170,7 @@ RIGHT = {
     "a stack for a film of which not all may decode": {"masks": "less.npy"},
     "a film of masks": {"masks": "film.mp4"},
     "a fit": {"smpl_fit": "fit.npz"},
+    "landmarks": {"landmarks": "whole_points.npy"},
     "cameras of other names and size": {"cameras": "large.json"},
     "a body": {"body_model": str(FREE_BODY)},
 }

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from stages.avatar.cameras.lens import distort, pinhole_focal, remap_grid
-from stages.formats.datasets.undistorted import pinhole_points, write_undistorted
+from stages.formats.datasets.undistorted import (
+    _between_knots,
+    _knots,
+    lens_points,
+    pinhole_points,
+    read_lenses,
+    write_undistorted,
+)
 from stages.formats.images import write_image, write_mask
 from stages.formats.landmarks import read_landmarks, write_landmarks
 from stages.records import SeenLandmarks
@@ -46,3 +53,13 @@ def test_landmarks_go_along_by_name_and_as_the_lens_moves_them(tmp_path):
     assert list(found) == ["b", "c"] and found["b"] is None
     np.testing.assert_allclose(found["c"].xy, np.tile([98.0, 101.0], (33, 1)), atol=1e-3)
     np.testing.assert_array_equal(found["c"].visibility, seen[1].visibility)
+    lens_of = read_lenses(tmp_path / "out", WIDTH, HEIGHT)
+    assert lens_of("b") is None
+    np.testing.assert_allclose(lens_points(found["c"].xy, lens_of("c")), seen[1].xy, atol=1e-3)
+    assert read_lenses(tmp_path, WIDTH, HEIGHT)("c") is None
+
+
+def test_the_lens_that_is_kept_is_the_lens():
+    grid = remap_grid(FOCAL, CENTER, -0.25, pinhole_focal(FOCAL, CENTER, -0.25, WIDTH, HEIGHT), WIDTH, HEIGHT)
+    kept = np.stack([part[np.ix_(*map(_knots, part.shape))] for part in grid])
+    assert kept.shape == (2, 18, 31) and np.abs(np.stack(_between_knots(kept, WIDTH, HEIGHT)) - grid).max() < 0.1

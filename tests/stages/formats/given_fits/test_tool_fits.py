@@ -50,7 +50,7 @@ def test_each_tool_comes_back_where_the_person_was(truth, tmp_path, tool):
     assert frames.tolist() == list(range(len(truth)))
     joints, wanted = joints_of(poses, truth.model), truth.world_joints()
     pose, shown = truth.views.body_pose, poses.body_pose
-    if tool == "GVHMR":  # it has no hands
+    if tool in ("GVHMR", "PromptHMR"):  # they have no hands
         joints, wanted, pose, shown = joints[:, :22], wanted[:, :22], pose[:, :63], shown[:, :63]
     turned = (TURN * Rotation.from_rotvec(truth.views.global_orient)).as_rotvec()
     error = np.linalg.norm(joints[:, 0] - wanted[:, 0], axis=-1).max()
@@ -78,6 +78,7 @@ def reprojected(truth, poses):
         # px on a person of 76 px: exactly where the tool's focal length is true, else up to what perspective does to arms
         ("GVHMR", lambda t: t.focal, 1e-3, 1e-3),
         ("TRAM", lambda t: t.focal, 1e-3, 1e-3),
+        ("PromptHMR", lambda t: t.focal, 1e-3, 1e-3),
         ("WHAM", lambda t: np.hypot(*t.size), 5.0, 0.5),
         ("PHALP", lambda t: 5000 / 256 * max(t.size), 15.0, 1.5),
         ("simple-romp video", lambda t: fits.WEAK, 15.0, 1.5),
@@ -86,7 +87,7 @@ def reprojected(truth, poses):
 def test_world_joints_reproject_onto_the_tools_own(truth, tmp_path, tool, focal, most, middle):
     poses, _, said = placed(truth, fits.write(tool, fits.contents(tool, truth), tmp_path))
     theirs = truth.tool_joints(focal(truth))
-    off = np.linalg.norm(reprojected(truth, poses) - theirs, axis=-1)[:, : 22 if tool == "GVHMR" else 24]
+    off = np.linalg.norm(reprojected(truth, poses) - theirs, axis=-1)[:, : 22 if tool in ("GVHMR", "PromptHMR") else 24]
     print(f"{tool}: {off.max():.4f} px at most, {np.median(off):.4f} px in the middle")
     assert off.max() < most and np.median(off) < middle
     if tool == "PHALP":
