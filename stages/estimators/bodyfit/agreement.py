@@ -24,54 +24,10 @@ ASTRAY = 0.15  # the same of one point: it is another point of the body
 EXCHANGED = 0.8  # share of the distance with sides as given under which they are exchanged
 SAME, ALIKE = 0.05, 0.2  # share by which a scale may differ from 1, and the scale of one axis from the other's
 SHIFT = 0.04  # of the height
-SIDES = (
-    *(
-        256,
-        320,
-        360,
-        384,
-        426,
-        480,
-        512,
-        540,
-        568,
-        576,
-        600,
-        640,
-        720,
-        768,
-        800,
-        848,
-        854,
-        864,
-        896,
-        960,
-        1024,
-        1080,
-        1152,
-    ),
-    *(
-        1200,
-        1280,
-        1344,
-        1440,
-        1536,
-        1600,
-        1792,
-        1920,
-        2048,
-        2160,
-        2304,
-        2560,
-        2704,
-        2880,
-        3072,
-        3200,
-        3840,
-        4096,
-        5120,
-        7680,
-    ),
+SIDES = tuple(
+    int(side)
+    for side in "256 320 360 384 426 480 512 540 568 576 600 640 720 768 800 848 854 864 896 960 1024 1080 1152 1200 1280 "
+    "1344 1440 1536 1600 1792 1920 2048 2160 2304 2560 2704 2880 3072 3200 3840 4096 5120 7680".split()
 )
 """Longer sides that pictures have, in px."""
 
