@@ -151,10 +151,11 @@ def map_cameras(
     told: Prior | None,
 ) -> Pinholes:
     """Cameras found by COLMAP, and the pinhole that replaces their lens; `told` is what a file says of it."""
-    from stages.estimators.cameras import solving
+    from stages.estimators.cameras import solving, standing
     from stages.estimators.cameras.pinholes import pinholes_of
+    from stages.estimators.cameras.task import Task
 
-    task = solving.Task(
+    task = Task(
         job=job,
         names=[frame.name for frame in listing.frames],
         size=(listing.width, listing.height),
@@ -170,7 +171,7 @@ def map_cameras(
         moves=params.camera == "moving",
     )
     if params.camera == "fixed":
-        solution = solving.still(task, {})
+        solution = standing.still(task, {})
         job.note("the camera is taken to stand still, as set")
     else:
         solution = solving.solve(task)

@@ -12,6 +12,7 @@ from stages.contract import StageError
 from stages.estimators.cameras import short_walk, solving
 from stages.estimators.cameras.sparse_model import write_ignored
 from stages.estimators.cameras.stillness import Stillness
+from stages.estimators.cameras.task import Solution
 from stages.formats.cameras import read_cameras
 from stages.formats.images import read_image, read_mask, write_image, write_mask
 from stages.formats.points import read_points
@@ -145,7 +146,7 @@ def test_a_fixed_camera_needs_no_features(tmp_path):
 def test_a_lens_is_taken_out_where_it_shows_unless_settings_say_otherwise(how, k, straightened, tmp_path, monkeypatch):
     write_clip(tmp_path, walk(3, 0.2))
     names, center = [f"{3 * i:06d}" for i in range(3)], (WIDTH / 2, HEIGHT / 2)
-    found = solving.Solution("static camera", names, np.tile(np.eye(4), (3, 1, 1)), np.full(3, FOCAL), center, k)
+    found = Solution("static camera", names, np.tile(np.eye(4), (3, 1, 1)), np.full(3, FOCAL), center, k)
     monkeypatch.setattr(solving, "solve", lambda task: found)
     facts, _ = run(tmp_path, undistort=how)
     before, after = (read_image(tmp_path / where / f"{names[1]}.png") for where in ("frames/images", "out/images"))
@@ -154,13 +155,17 @@ def test_a_lens_is_taken_out_where_it_shows_unless_settings_say_otherwise(how, k
     assert (facts["pinhole_focal_px"] != FOCAL) == straightened
 
 
-def test_i02_blank_frames_are_an_error_with_numbers(tmp_path):
+def test_i02_blank_frames_leave_the_person_alone_and_are_an_error_with_numbers_if_the_camera_is_said_to_move(tmp_path):
     write_clip(tmp_path, np.tile(np.eye(4), (3, 1, 1)))
     for path in (tmp_path / "frames/images").iterdir():
         write_image(path, np.full((HEIGHT, WIDTH, 3), 80, np.uint8))
     with pytest.raises(StageError, match="no two frames") as error:
-        run(tmp_path)
+        run(tmp_path, camera="moving")
     assert "features a frame: 0" in " ".join(error.value.facts) and "human_only" in error.value.hint
+    shutil.rmtree(tmp_path / "out")
+    facts, events = run(tmp_path)
+    assert facts["verdict"] == "static camera" and facts["registered"] == 3 and facts["motion"]["stays"] is None
+    assert any(holds(event["text"], "no two frames", "taken") for event in events if event["event"] == "warning")
 
 
 def test_i04_i16_k03_masks_must_fit_the_frames(tmp_path):

@@ -10,8 +10,8 @@ import numpy as np
 from stages.avatar.cameras import lens
 from stages.avatar.cameras.pinhole import pinhole
 from stages.estimators.cameras import colmap
-from stages.estimators.cameras.solving import GUESSED_FOCAL, Solution, Task
 from stages.estimators.cameras.sparse_model import Pinholes
+from stages.estimators.cameras.task import GUESSED_FOCAL, Solution, Task
 from stages.formats.datasets.undistorted import HELD, Grid
 
 

@@ -3,104 +3,57 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from stages.contract import Job
 from stages.estimators.cameras import colmap_features, colmap_lens, short_walk
 from stages.estimators.cameras.changing import model_changes
 from stages.estimators.cameras.colmap import Model, refine
-from stages.estimators.cameras.intrinsics import Prior, settle, spreads, usual
+from stages.estimators.cameras.intrinsics import settle, spreads
 from stages.estimators.cameras.ladder import Matched, best_rung, climb
 from stages.estimators.cameras.motion import CameraMotion, Pair, camera_rotations, judge_motion
-from stages.estimators.cameras.parts import Parts
+from stages.estimators.cameras.plain import judge, look
 from stages.estimators.cameras.short_walk import TurnOrWalk
 from stages.estimators.cameras.sparse_model import write_ignored
+from stages.estimators.cameras.standing import HUMAN_ONLY, stands_still, taken_to_stand, zooms
 from stages.estimators.cameras.stillness import measure_stillness
-from stages.estimators.cameras.verdict import Footage, components
+from stages.estimators.cameras.task import Solution, Task, fixed_views
+from stages.estimators.cameras.verdict import Footage, NoCameras, components
+from stages.estimators.cameras.zooming import zoom_alone
 
 CLEARLY = 1.25  # times the error of a short walk: a mapper's model with more gives way to it
-GIVEN_SPREAD = 0.001  # of a focal length that the user gives
-GUESSED_FOCAL = 1.2  # of the longer side: COLMAP's guess, between a phone's wide lens (0.75) and twice its zoom
-HUMAN_ONLY = "film while walking a few steps around the person to get the scene too"
-
-
-@dataclass(frozen=True)
-class Task:
-    """Frames `names` of `size` (width, height) px in `images`, their person in `masks`; settings as in stages/sfm.py.
-
-    `told` is what the file says of its focal length; `moves`: the user says that the camera does.
-    """
-
-    job: Job
-    names: list[str]
-    size: tuple[int, int]
-    images: Path
-    masks: Path
-    scratch: Path
-    parts: Parts
-    features: int
-    overlap: int
-    min_share: float
-    focal: float | None = None
-    told: Prior | None = None
-    moves: bool = False
-
-    @property
-    def files(self) -> list[str]:
-        """The frames' file names."""
-        return [f"{name}.png" for name in self.names]
-
-    @property
-    def side(self) -> int:
-        """The frames' longer side in px."""
-        return max(self.size)
-
-    @property
-    def center(self) -> tuple[float, float]:
-        """The frames' middle in px."""
-        return self.size[0] / 2, self.size[1] / 2
-
-    @property
-    def known_focal(self) -> float | None:
-        """Focal length in px that the user or the file gives."""
-        return self.focal or (self.told.focal if self.told else None)
-
-    @property
-    def prior(self) -> Prior:
-        """What is known of the focal length before the frames are seen."""
-        return Prior(self.focal, GIVEN_SPREAD, "given") if self.focal else self.told or usual(self.side)
-
-
-@dataclass
-class Solution:
-    """Solved cameras: poses and focal lengths [C] px of `names`, the lens, the COLMAP model, and facts for sfm.json."""
-
-    verdict: str
-    names: list[str]
-    viewmats: np.ndarray
-    focals: np.ndarray
-    center: tuple[float, float]
-    k: float
-    model: Any = None
-    facts: dict[str, Any] = field(default_factory=dict)
 
 
 def solve(task: Task) -> Solution:
     """The verdict on the camera's motion, and the cameras of a clip that stands, turns or walks."""
-    job, parts, size = task.job, task.parts, task.size
+    job, parts = task.job, task.parts
     ignored, database = task.scratch / "ignored", task.scratch / "database.db"
     job.progress(0, 100)
     with parts.timed("masks"):
         write_ignored(task.names, task.masks, ignored, task.side)
+    if task.moves:
+        return solve_moving(task, ignored, database)
     with parts.timed("still or not"):
         stillness = measure_stillness(task.images, ignored, task.files)
-    if stillness is not None and stillness.still and not task.moves:
+    if stillness is not None and stillness.still:
         measured = {"displacement_px": round(stillness.drift_px, 4), "stays": round(stillness.stays, 3)}
         return stands_still(task, stillness.drift_px, {"motion": measured})
+    with parts.timed("edges"):
+        views = look(task.images, ignored, task.files)
+        edges = judge(views)
+    if edges.still:
+        return stands_still(task, edges.drift_px, {"motion": edges.facts()})
+    try:
+        return solve_moving(task, ignored, database)
+    except NoCameras as refusal:
+        return taken_to_stand(task, views, edges, refusal)
+
+
+def solve_moving(task: Task, ignored: Path, database: Path) -> Solution:
+    """The cameras of a clip by its features; raises NoCameras where they place too few frames."""
+    job, parts, size = task.job, task.parts, task.size
     pairs, facts = match_frames(task, ignored, database)
     need = math.ceil(task.min_share * len(task.names))
     footage = Footage(task.names, task.images, ignored, database, need)
@@ -115,6 +68,9 @@ def solve(task: Task) -> Solution:
     }
     if motion.verdict == "static camera" and not task.moves:
         return stands_still(task, motion.displacement_px, facts)
+    zoom = zoom_alone(pairs, len(task.names), *size) if motion.verdict == "moving" and not task.moves else None
+    if zoom is not None:
+        return zooms(task, footage, zoom, facts)
     compared = None
     if motion.nearly_turns or motion.verdict == "rotation only":
         compared = turn_or_walk(task, motion, pairs, facts)
@@ -127,24 +83,6 @@ def solve(task: Task) -> Solution:
     matched = Matched(database, task.images, task.scratch, len(task.names), task.side, need, task.overlap, fixed)
     walk = solve_walk(task, matched, footage, motion, compared, pairs, facts)
     return walk or solve_turn(task, footage, motion, compared, pairs, facts)
-
-
-def still(task: Task, facts: dict[str, Any]) -> Solution:
-    """The cameras of a clip whose camera stands still."""
-    count, focal = len(task.names), task.known_focal or GUESSED_FOCAL * task.side
-    lens = {"focal_spread_px": round(task.prior.spread * focal, 3)}
-    views, focals = fixed_views(count), np.full(count, focal)
-    return Solution("static camera", task.names, views, focals, task.center, 0.0, facts=facts | {"lens": lens})
-
-
-def stands_still(task: Task, displacement: float, facts: dict[str, Any]) -> Solution:
-    """`still`, said to the user, of a clip whose background moves by `displacement` px."""
-    task.job.warn(
-        f"the camera stands still (the background moves {displacement:.2f} px between frames): "
-        f"its clip shows no depth, so only the person is modelled; {HUMAN_ONLY}. If it moved, and a caption or a logo stays in "
-        "place: `--set sfm.camera=moving`"
-    )
-    return still(task, facts)
 
 
 def match_frames(task: Task, ignored: Path, database: Path) -> tuple[list[Pair], dict[str, Any]]:
@@ -296,8 +234,3 @@ def solve_turn(
     views[:, :3, :3] = turns
     kept = [name for name, there in zip(names, known, strict=True) if there]
     return Solution("rotation only", kept, views[known], focals[known], task.center, k, facts=facts)
-
-
-def fixed_views(count: int) -> np.ndarray:
-    """`count` cameras at the origin that look along z [count,4,4]."""
-    return np.tile(np.eye(4), (count, 1, 1))

@@ -26,6 +26,10 @@ SHOWN = 3  # runs of frames, models and cuts that are listed
 ALONE = "go on with the person alone: `--pipeline human_only --set sfm.camera=fixed`"
 
 
+class NoCameras(StageError):
+    """Too few frames could be placed by what their backgrounds show."""
+
+
 @dataclass(frozen=True)
 class CameraVerdict:
     """Why frames have no pose: the `name` of the cause, or None if none was found; facts with numbers; a hint."""
@@ -46,7 +50,7 @@ class Footage:
     need: int
 
     def require(self, job: Job, posed: list[np.ndarray], tried: list[str]) -> str | None:
-        """Raise StageError with the verdict if the best model placed fewer than `need` frames; warn if it lacks many.
+        """Raise NoCameras with the verdict if the best model placed fewer than `need` frames; warn if it lacks many.
 
         `posed` [C] bool of each model, the best first; `tried` are more facts for the error. Returns the verdict's name.
         """
@@ -72,7 +76,7 @@ class Footage:
             f"{count} frames, verified pairs: {len(pairs)}",
             f"features a frame: {features.min()} at least, {np.median(features):.0f} median",
         ]
-        raise StageError(problem + why, verdict.hint, [*verdict.facts, *found, *tried])
+        raise NoCameras(problem + why, verdict.hint, [*verdict.facts, *found, *tried])
 
 
 def judge_cameras(

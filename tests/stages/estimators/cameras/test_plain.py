@@ -1,0 +1,100 @@
+"""Cameras before walls without corners: those that stand, those that move a little, and where nothing shows it."""
+
+import cv2
+import numpy as np
+import pytest
+
+from stages.estimators.cameras.plain import Plain, Views, judge, look, standing_part
+from stages.formats.images import write_image, write_mask
+from tests.made.rooms import texture
+
+WIDTH, HEIGHT, FRAMES = 320, 240, 12
+STILL = np.zeros((FRAMES, 2))
+SWAY = np.stack([2.5 * np.sin(1.3 * np.arange(FRAMES)), 2 * np.cos(2.1 * np.arange(FRAMES))], 1)
+BUMP = np.where(np.arange(FRAMES)[:, None] < 8, 0, [7, -5])
+CLOTH = texture(3)[..., 0].astype(np.float32)
+Y, X = np.mgrid[:HEIGHT, :WIDTH].astype(np.float32)
+FLOOR = np.where(Y < 160, 120, 95).astype(np.float32)
+DUST = FLOOR - 30 * ((X % 61 < 2) & (Y % 53 < 2))
+SPOT = 80 + 90 * np.exp(-((X - 90) ** 2 + (Y - 90) ** 2) / 9000)
+BLANK = np.full((HEIGHT, WIDTH), 110, np.float32)
+DARK = 4 + 0.04 * FLOOR
+DEFOCUSED = cv2.GaussianBlur(CLOTH[:HEIGHT, :WIDTH], (0, 0), 8)
+VIGNETTE = 1 - 0.2 * ((X - WIDTH / 2) ** 2 + (Y - HEIGHT / 2) ** 2) / (WIDTH / 2) ** 2
+
+
+def curtain(image: np.ndarray, frame: int) -> None:
+    image[:150, 40:280] = 100 + 50 * np.sin(X[:150, 40:280] / 5 + 2 * np.sin(frame))
+
+
+def screen(image: np.ndarray, frame: int) -> None:
+    image[12:138, 52:268] = 15
+    image[20:130, 60:260] = CLOTH[50 * frame : 50 * frame + 110, :200]
+
+
+def light(image: np.ndarray, frame: int) -> None:
+    image *= 1 + 0.1 * np.sin(frame)
+
+
+def corners_dark(image: np.ndarray, frame: int) -> None:
+    image *= VIGNETTE
+
+
+def film_bars(image: np.ndarray, frame: int) -> None:
+    image[:] = CLOTH[40 + 9 * frame : 40 + 9 * frame + HEIGHT, 7 * frame : 7 * frame + WIDTH]
+    image[:30], image[-30:] = 0, 0
+    image[190:204, 30:150] = np.where(X % 12 < 6, 255, 0)[190:204, 30:150]  # a caption
+
+
+def seen(folder, wall: np.ndarray, way: np.ndarray, change=None) -> Views:
+    rng = np.random.default_rng(0)
+    for kind in ("images", "ignored"):
+        (folder / kind).mkdir()
+    for i, (dx, dy) in enumerate(way):
+        moved = np.array([[1, 0, dx], [0, 1, dy]], np.float32)
+        image = cv2.warpAffine(wall, moved, (WIDTH, HEIGHT), borderMode=cv2.BORDER_REPLICATE)
+        if change:
+            change(image, i)
+        left = 130 + 3 * i
+        image[60:220, left : left + 50] = 200 if i % 2 else 20  # somebody
+        image = np.repeat(image[..., None], 3, 2) + rng.normal(0, 1.5, (HEIGHT, WIDTH, 3))
+        mask = np.full((HEIGHT, WIDTH), 255, np.uint8)
+        mask[56:224, left - 4 : left + 54] = 0
+        write_image(folder / f"images/{i:02d}.png", image.clip(0, 255).round().astype(np.uint8))
+        write_mask(folder / f"ignored/{i:02d}.png", mask)
+    return look(folder / "images", folder / "ignored", [f"{i:02d}.png" for i in range(len(way))])
+
+
+@pytest.mark.parametrize(("wall", "change"), [
+    (FLOOR, None), (FLOOR, light), (FLOOR, corners_dark), (FLOOR, screen), (DEFOCUSED, None),
+])  # fmt: skip
+def test_edges_that_stay_are_a_camera_that_stands(tmp_path, wall, change):
+    found = judge(seen(tmp_path, wall, STILL, change))
+    assert found.still and not found.moves and found.drift_px < 0.3
+
+
+@pytest.mark.parametrize(("wall", "change"), [
+    (FLOOR, None), (DUST, corners_dark), (DEFOCUSED, None), (SPOT, None), (FLOOR, curtain), (FLOOR, film_bars),
+])  # fmt: skip
+def test_a_camera_that_moves_a_little_is_not_called_still(tmp_path, wall, change):
+    found = judge(seen(tmp_path, wall, 2 * SWAY if wall is SPOT else SWAY, change))
+    assert found.moves and not found.still
+
+
+@pytest.mark.parametrize(("wall", "way"), [(BLANK, STILL), (BLANK, SWAY), (DARK, STILL), (SPOT, STILL)])
+def test_where_nothing_shows_it_neither_is_said(tmp_path, wall, way):
+    found = judge(seen(tmp_path, wall, way))
+    assert not found.still and not found.moves and found.facts() == {"displacement_px": None, "stays": None}
+
+
+def test_what_stays_in_a_few_places_leaves_doubt_and_all_over_the_picture_none():
+    assert not Plain(stays=0.2, cells=0.3, drift_px=0.3, sways=False).still
+    assert not Plain(stays=0.2, cells=0.3, drift_px=0.3, sways=False).moves
+    assert Plain(stays=0.4, cells=0.5, drift_px=0.1, sways=False).still
+
+
+def test_of_a_tripod_that_was_bumped_the_larger_part_stands(tmp_path):
+    views = seen(tmp_path, FLOOR, BUMP)
+    assert judge(views).moves and standing_part(views).tolist() == list(range(8))
+    (tmp_path / "hand").mkdir()
+    assert standing_part(seen(tmp_path / "hand", FLOOR, SWAY)) is None
