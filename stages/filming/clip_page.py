@@ -29,11 +29,13 @@ def clip_page(
     """What the page of a clip shows; `cast` are its people in their order."""
     people, listing = load_people(sfm, smpl, train), read_facts(frames / "frames.json", Listing)
     clip, gaussians = people[0], sum(len(rig) for _, rig, _ in cast)
+    metre = read_facts(smpl / "smpl.json", Smpl).metre
     title, made_by = Path(listing.video.path).name, f"hugs {version()}"
     facts = {
         "Clip": f"{title}: {len(clip.names)} frames of {clip.width}x{clip.height} px",
         ("Person" if len(cast) == 1 else f"{len(cast)} people"): f"{gaussians:,} Gaussians",
         "Scene": "none" if scene is None else f"{len(scene):,} Gaussians",
+        "Metre": (f"to ±{100 * metre.error:.0f} %, " if metre.error else "") + (metre.how or "unknown"),
         "Result": train.resolve().name,
         "Made by": made_by,
     }
@@ -52,7 +54,7 @@ def clip_page(
         turn=ground.turn,
         spot=ground.point,
         made_by=made_by,
-        times_fit=read_facts(smpl / "smpl.json", Smpl).metre.times_fit,
+        times_fit=metre.times_fit,
     )
 
 

@@ -167,9 +167,11 @@ class Expected(Facts):
 
 
 class Size(Facts):
-    """Of people and world: `times_fit` as large as bodies alone made them, for lengths that the user knows."""
+    """Of people and world: `times_fit` as large as bodies alone made them, `how` a metre is known and to which share of itself."""
 
     times_fit: Number = 1.0
+    how: str = ""
+    error: Number | None = None
 
 
 class Smpl(Facts):
