@@ -12,19 +12,29 @@ from tests.made.command import hugs_here
 
 PLANNED = {"run": "train", "ablate": "no_", "costs": "steps", "fleet": "dance"}
 """A command that has a plan -> a word that its plan has, on this clip."""
-BROUGHT = ("--masks", "--smpl-fit", "--cameras", "--body-model", "neuman", "zju", "--profile", "--only-failed")
+BROUGHT = (
+    "--masks",
+    "--smpl-fit",
+    "--cameras",
+    "--body-model",
+    "--landmarks",
+    "neuman",
+    "zju",
+    "--profile",
+    "--only-failed",
+)
 """What this clip has not; tests/test_datasets_end_to_end.py, tests/hugs_cli and tests/stages bring them."""
+SAME = {"--dry-run", "--jobs", "--name", "--budget", "--seeds", "--plot"}
 
 
 def examples() -> list[str]:
-    """One for each command with the same options, without what follows #."""
+    """One for each command with the same options but those that change no plan, without what follows #."""
     lines = [line.split(" #")[0].strip() for d in documents() for b in d.blocks("console") for line in b.splitlines()]
     planned = [line for line in lines if line.startswith("hugs ") and line.split()[1] in PLANNED]
     planned = [line for line in planned if not any(word in line for word in BROUGHT)]
     planned = [line for line in planned if "costs" not in line or "--sweep" in line]
-    return list(
-        {(line.split()[1], *(word for word in line.split() if word[0] == "-")): line for line in planned}.values()
-    )
+    options = {line: {word for word in line.split() if word[0] == "-"} - SAME for line in planned}
+    return list({(line.split()[1], *sorted(words)): line for line, words in options.items()}.values())
 
 
 @pytest.mark.slow
