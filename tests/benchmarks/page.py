@@ -109,13 +109,18 @@ def fill(text: str, table: dict[str, Any]) -> str:
 
 
 def drawn(table: dict[str, Any]) -> str:
-    """Accuracy against time, as SVG: a line a clip, a point a pipeline."""
+    """Accuracy against time, as SVG: a line a clip, a point a pipeline, named at the first clip."""
     panels = []
     for metric, name in (("psnr", "PSNR of the person, dB"), ("lpips", "LPIPS of the person")):
         lines = []
         for clip, found in table["rows"].items():
             dots = [
-                Dot(row["minutes"], next(value for part in PERSON if (value := row["heldout"][part][metric])), 0.0, one)
+                Dot(
+                    row["minutes"],
+                    next(value for part in PERSON if (value := row["heldout"][part][metric])),
+                    0.0,
+                    "" if lines else one,
+                )
                 for one, row in found.items()
                 if "failed" not in row
             ]
