@@ -1,0 +1,59 @@
+"""Each example for Python runs on a small clip, and its picture shows what it says."""
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from stages.formats.images import read_image
+from tests.made import tiny
+
+FOLDER = Path(__file__).parents[1] / "examples"
+TESTED = {"pose_and_draw", "camera_path", "two_people"}
+
+
+def example(name: str) -> ModuleType:
+    """An example as a module."""
+    found = importlib.util.spec_from_file_location(name, FOLDER / f"{name}.py")
+    assert found and found.loader
+    module = importlib.util.module_from_spec(found)
+    found.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("examples") / "run"
+    tiny.make(folder)
+    return folder
+
+
+def person_in(path: Path) -> np.ndarray:
+    """Where a picture shows the colours of the person: bool [H,W]."""
+    return tiny.colour_of(read_image(path)) >= 0
+
+
+def test_all_examples_are_run_here():
+    assert {path.stem for path in FOLDER.glob("*.py")} == TESTED
+
+
+def test_pose_and_draw(run, tmp_path, capsys):
+    example("pose_and_draw").main(str(run / "train" / "avatar.npz"), str(tmp_path / "pose.png"))
+    columns = np.flatnonzero(person_in(tmp_path / "pose.png").any(0))
+    assert 60 < np.ptp(columns) < 200, "the arms hang down"
+    assert "1,723 Gaussians" in capsys.readouterr().out
+
+
+def test_camera_path(run, tmp_path):
+    example("camera_path").main(str(run), str(tmp_path / "path"), 3)
+    left, middle, right = (person_in(tmp_path / "path" / f"{i:03d}.png") for i in range(3))
+    assert min(seen.sum() for seen in (left, middle, right)) > 5000 and (left != right).mean() > 0.01
+
+
+def test_two_people(run, tmp_path):
+    example("two_people").main(str(run), str(run / "train" / "avatar.npz"), str(tmp_path / "two.png"))
+    one = person_in(run / "sfm" / "images" / f"{tiny.NAMES[4]}.png")
+    both = person_in(tmp_path / "two.png")
+    assert both[one].mean() > 0.95 and both.sum() > 1.4 * one.sum()
