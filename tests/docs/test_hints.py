@@ -91,7 +91,15 @@ UNDONE = {
     **dict.fromkeys(["--set survey.X=always", "--pipeline X", "hugs run FOLDER --pipeline X"], TRAINS),
     **dict.fromkeys(["hugs run VIDEO", "hugs run VIDEO --pipeline preview", "hugs costs VIDEO --sweep"], TRAINS),
     **dict.fromkeys(
-        ["--masks", "--masks DIR", "hugs run VIDEO --masks DIR", "hugs run VIDEO --smpl-fit FILE", "--cameras"], GIVES
+        [
+            "--masks",
+            "--masks DIR",
+            "hugs run VIDEO --masks DIR",
+            "hugs run VIDEO --smpl-fit FILE",
+            "--cameras",
+            "--landmarks",
+        ],
+        GIVES,
     ),
     **dict.fromkeys(
         ["hugs run PICTURES/ --cameras X", "--set frames.train_camera=N", "--scene work/kitchen/default"], GIVES

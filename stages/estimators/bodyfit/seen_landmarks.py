@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,13 @@ def evidence_of(
     if given is not None:
         grid_of = read_lenses(sfm, clip.cameras.width, clip.cameras.height)
         tracks, facts = given_landmarks(given, clip.listing, followed, grid_of, clip.cameras.viewmats, say)
-    evidence, strangers = drop_strangers(gather(tracks, names, 1.0 if facts.get("3d") else FLAT), clip.masks)
+    known = evidence = gather(followed, names)
+    if given is not None:
+        evidence = gather(tracks, names, 1.0 if facts["3d"] else FLAT)
+        both = known.seen & evidence.seen
+        if both.any():  # nobody is shorter because a skeleton ends at the ankles
+            evidence = replace(evidence, height=evidence.height * np.median(known.height[both] / evidence.height[both]))
+    evidence, strangers = drop_strangers(evidence, clip.masks)
     evidence, swapped = vote_sides(drop_cut(evidence, (clip.cameras.width, clip.cameras.height)))
     count = int(evidence.seen.sum())
     if count < max(2, SEEN_LEAST * len(tracks)):
@@ -61,7 +68,7 @@ def evidence_of(
         more = [f"{int(strangers.sum())} more frames showed somebody else than the masked person"]
         raise StageError(f"{who} was found in only {count} of {len(tracks)} frames", hint, more)
     if given is not None:
-        evidence, facts["off"] = weighed(evidence, gather(followed, names), clip.masks)
+        evidence, facts["off"] = weighed(evidence, known, clip.masks)
         tracks = [
             one and SeenLandmarks(*(np.nan_to_num(v) for v in (one.xy, one.visibility, one.world))) for one in tracks
         ]
