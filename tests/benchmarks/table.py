@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hugs_cli.cache.child import processors
 from hugs_cli.cache.workspace import Stamp
 from stages.avatar.measures.lpips import Lpips
 from stages.estimators.assets import fetch
@@ -90,7 +91,7 @@ def facts(results: Path) -> dict[str, Any]:
     """Time, memory, sizes and scores of a finished run, from its stamps and .json files; SystemExit if another machine made it."""
     stamps = {link.name: stamp for link in sorted(results.iterdir()) if link.is_dir() and (stamp := Stamp.read(link))}
     hosts = {(stamp.machine["host"], stamp.machine["processors"]) for stamp in stamps.values()}
-    if hosts != {(platform.node(), len(os.sched_getaffinity(0)))}:
+    if hosts != {(platform.node(), processors())}:
         raise SystemExit(f"{results} was made on {sorted(hosts)}, this is {platform.node()}: take another --work")
     trained, metrics, frames = (
         json.loads((results / place).read_bytes())
