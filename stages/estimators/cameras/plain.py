@@ -76,10 +76,10 @@ def look(images: Path, ignored: Path, files: list[str]) -> Views:
     grey, seen, rough, scale = [], [], [], 1.0
     reach = np.ones((2 * round(2 * BLUR) + 1,) * 2, np.uint8)
     for file in [files[i] for i in chosen]:
-        picture: np.ndarray = cv2.cvtColor(read_image(images / file), cv2.COLOR_RGB2GRAY).astype(np.float32)
-        scale = max(max(picture.shape) / SIDE, 1.0)
-        size = tuple(round(length / scale) for length in picture.shape[::-1])
-        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+        whole = cv2.cvtColor(read_image(images / file), cv2.COLOR_RGB2GRAY).astype(np.float32)
+        scale = max(max(whole.shape) / SIDE, 1.0)
+        size = tuple(round(length / scale) for length in whole.shape[::-1])
+        picture = cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
         there = cv2.resize(read_mask(ignored / file), size, interpolation=cv2.INTER_NEAREST) > 0
         smooth = cv2.GaussianBlur(picture, (0, 0), BLUR)
         rough.append(np.median(np.abs(picture - smooth)[there]) if there.any() else 0.0)
