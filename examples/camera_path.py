@@ -29,4 +29,4 @@ def main(run: str, out: str, count: int = 24) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:3])
+    main(sys.argv[1], sys.argv[2])

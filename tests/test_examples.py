@@ -7,11 +7,12 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+import hugs
 from stages.formats.images import read_image
 from tests.made import tiny
 
 FOLDER = Path(__file__).parents[1] / "examples"
-TESTED = {"pose_and_draw", "camera_path", "two_people"}
+TESTED = {"pose_and_draw", "camera_path", "fit_pose", "two_people"}
 
 
 def example(name: str) -> ModuleType:
@@ -57,3 +58,13 @@ def test_two_people(run, tmp_path):
     one = person_in(run / "sfm" / "images" / f"{tiny.NAMES[4]}.png")
     both = person_in(tmp_path / "two.png")
     assert both[one].mean() > 0.95 and both.sum() > 1.4 * one.sum()
+
+
+def test_a_pose_is_found_in_a_picture_drawn_from_another_side(run):
+    fitting, avatar = example("fit_pose"), hugs.load(run)
+    true = avatar.motions["clip"][4]
+    camera, start = avatar.cameras[4], fitting.turned(avatar, true, 20)
+    picture, behind = fitting.drawn(avatar, true, camera)
+    found = fitting.fit(avatar, picture, behind, camera, start, [(1, (1, 5), 30)])
+    before, after = (fitting.apart(pose, true.body_pose) for pose in (start.body_pose, found))
+    assert before == pytest.approx(20, abs=1e-3) and after.mean() < 8
