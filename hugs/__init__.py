@@ -26,6 +26,7 @@ if TYPE_CHECKING:  # the same as HOMES, for type checkers
     from hugs.motion import Motion as Motion
     from hugs.motion import Pose as Pose
     from hugs.progress import Progress as Progress
+    from hugs.runs import run as run
     from stages.avatar.rasterize import Camera as Camera
     from stages.contract import StageError as StageError
     from stages.records import JOINT_NAMES as JOINT_NAMES
@@ -39,6 +40,7 @@ HOMES = {
     "hugs.making": ("animate", "compose", "export"),
     "hugs.motion": ("Motion", "Pose"),
     "hugs.progress": ("Progress",),
+    "hugs.runs": ("run",),
     "stages.avatar.rasterize": ("Camera",),
     "stages.contract": ("StageError",),
     "stages.records": ("JOINT_NAMES",),

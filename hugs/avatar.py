@@ -59,6 +59,8 @@ class Avatar:
     """The arrays of that body."""
     name: str = ""
     """The folder or file that it is from."""
+    path: Path | None = None
+    """Where that is."""
     scene: Gaussians[Tensor] | None = None
     """The scene behind; None where there is none."""
     frames: tuple[str, ...] = ()
@@ -177,18 +179,20 @@ class Avatar:
 
 
 def load(path: str | PathLike[str], who: int = 1, device: str = "cpu") -> Avatar:
-    """The avatar of a finished run's folder, such as work/dance/default, with its clip and scene; or of avatar.npz or
-    avatar_splats.glb alone, on `device`.
+    """The avatar at a `path`: a finished run's folder, such as work/dance/default, with its clip and scene, or avatar.npz or
+    avatar_splats.glb alone; on `device`.
 
     `who` is which of the people of a run. StageError, with facts and a hint, for what is neither, and for a person who is not
     there.
+
+        avatar = hugs.load("work/dance/default")
     """
     place = Path(path)
     if not place.is_dir():
         if who != 1:
             raise StageError(f"{place} holds one person: there is no person {who}", "leave out `who`")
         record = read_any_avatar(place)
-        return _avatar(record, body_of(None, record), device, name=place.name)
+        return _avatar(record, body_of(None, record), device, name=place.name, path=place)
     train, sfm, smpl = (place / stage for stage in ("train", "sfm", "smpl"))
     if not (train / "avatar.npz").is_file():
         facts = [f"no {train / 'avatar.npz'}"]
@@ -202,6 +206,7 @@ def load(path: str | PathLike[str], who: int = 1, device: str = "cpu") -> Avatar
         clip.body_model,
         device,
         name=f"{place}" if who == 1 else f"{place}, person {who}",
+        path=place,
         scene=None if scene is None else Gaussians([load_scene(scene, device)]),
         frames=clip.names,
         cameras=tuple(Camera.of(viewmat, K, clip.width, clip.height) for viewmat, K in views),

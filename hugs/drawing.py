@@ -141,5 +141,10 @@ class _Role:
 
 
 def write_image(path: str | PathLike[str], image: np.ndarray | Tensor) -> None:
-    """Write a picture [H,W,3] of `draw`, clipped to 0 to 1, as .png; ValueError where a value is not finite."""
+    """Write an `image` [H,W,3] of `draw`, clipped to 0 to 1, to a `path` that ends in .png.
+
+    ValueError where a value is not finite, StageError where the file cannot be written.
+
+        hugs.write_image("pose.png", hugs.draw(person, camera).image)
+    """
     _write(Path(path), to_uint8(image.detach().cpu().numpy() if isinstance(image, Tensor) else image))

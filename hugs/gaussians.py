@@ -179,9 +179,11 @@ class Person(Gaussians[Array]):
 
 
 def load_scene(path: str | PathLike[str], device: str = "cpu") -> Gaussians[Tensor]:
-    """The scene in a .ply, .spz or .npz of 3D Gaussians; StageError, with facts and a hint, for any other file.
+    """The scene in the file at a `path`, a .ply, .spz or .npz of 3D Gaussians, on `device`.
 
-    What of it is left out is a UserWarning.
+    What of it is left out is a UserWarning. StageError, with facts and a hint, for any other file.
+
+        scene = hugs.load_scene("scene.ply")
     """
     scene = read_any_scene(Path(path))
     for fact in scene.said:

@@ -88,7 +88,8 @@ def train(
     - `heldout` bool [C]: frames that only measure; every 5th without it.
     - `effects` that are to be learned: "shadow", "clothing", "view_dependence", "exposure", "camera_refinement" and others of
       docs/effects.md; no detector decides.
-    - `settings` of the stage, as {"steps": 400}; `hugs stages train` lists them. `device`: "auto", "cpu" or "cuda".
+    - `settings` of the stage, as {"steps": 400}; `hugs stages train` lists them.
+    - `seed` of all random numbers. `device`: "auto", "cpu" or "cuda".
 
     Trains in this process, and `progress` hears how far it is. StageError, with facts and a hint, for arrays that do not fit each
     other and where training breaks down; pydantic's ValidationError, a ValueError, for settings.

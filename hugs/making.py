@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hugs.progress import Hear, console_for
 from hugs_cli import film as films
@@ -17,12 +17,15 @@ from hugs_cli.cache.workspace import read_json
 from hugs_cli.options import RunOptions
 from hugs_cli.pipelines import UsageError
 
+if TYPE_CHECKING:
+    from hugs.avatar import Avatar
+
 Pathish = str | PathLike[str]
 WORK = Path("work")
 
 
 def export(
-    run: Pathish,
+    run: Pathish | Avatar,
     out: Pathish,
     formats: Sequence[str] | None = None,
     *,
@@ -32,9 +35,9 @@ def export(
     progress: Hear | None = None,
     pipelines_file: Pathish | None = None,
 ) -> list[Path]:
-    """Write avatar and scene of a finished run into a folder, as `hugs export` does, and return the paths of what was written.
+    """Write avatar and scene of a finished run into the folder `out`, as `hugs export` does, and return what was written.
 
-    - `run`: its folder, as "work/dance/default"; its own export stays as it is.
+    - `run`: its folder, as "work/dance/default", or what `hugs.load` makes of it; its own export stays as it is.
     - `formats`: as ["ply", "glb", "bvh"], see docs/exports.md; those of the run without them. `settings` of the stage, as
       {"names": "mixamo", "triangles": 5000}; `hugs stages export` lists all.
     - `force`: write over files that others made. `device`: "auto", "cpu" or "cuda". `progress` hears how far it is.
@@ -46,13 +49,13 @@ def export(
     """
     values = dict(settings or {}) | ({} if formats is None else {"formats": list(formats)})
     console = console_for(progress)
-    video, given = _run(Path(run), Path(pipelines_file or pipelines.FILE))
+    video, given = _run(_place(run), Path(pipelines_file or pipelines.FILE))
     given = given.of_last_run(video, console)
     return list(exported(video, Path(out), values, given, device, force, console))
 
 
 def animate(
-    person: Pathish,
+    person: Pathish | Avatar,
     motion: Pathish,
     out: Pathish,
     *,
@@ -69,21 +72,23 @@ def animate(
 ) -> Path:
     """Let a person perform a motion file, as `hugs animate` does, and return the path of the film.
 
-    - `person`: the folder of a run, as "work/dance/default", or the file of an avatar; `who` of the people of a run, from 1 on.
+    - `person`: the folder of a run, as "work/dance/default", the file of an avatar, or what `hugs.load` makes of these.
+    - `who` of the people of a run, from 1 on.
     - `motion`: a .bvh of any skeleton, or an .npz of SMPL poses. `out`: an .mp4, of `fps` frames a second.
     - `scene`: the folder of another run, or a .ply, .spz or .npz; their own without it. `at` [3] m: where the soles stand in it.
     - `only`: "both", or "human" over white. `cameras`: an .npz as for `hugs render`.
     - `settings` of the person, as {"motion_fps": 60, "up": "z"}: those that docs/films.md lists under `people`.
+    - `force`: write over a file that others made. `device`: "auto", "cpu" or "cuda". `progress` hears how far it is.
 
     StageError, with facts and a hint, for a run that is not finished, and files that cannot be read or may not be written over.
 
         hugs.animate("work/dance/default", "moves.bvh", "dance-moves.mp4")
     """
     behind, views = (None if one is None else Path(one) for one in (scene, cameras))
-    actor: dict[str, Any] = {"avatar": Path(person), "who": who, "motion": str(motion), **(settings or {})}
+    actor: dict[str, Any] = {"avatar": _place(person), "who": who, "motion": str(motion), **(settings or {})}
     film: dict[str, Any] = {"fps": fps, "only": only, "out": {"film": Path(out)}}
     film |= staged(actor, behind, at, views)
-    (made,) = animated(film, device, _work(person), force, [], console_for(progress))
+    (made,) = animated(film, device, _work(_place(person)), force, [], console_for(progress))
     return made
 
 
@@ -100,6 +105,7 @@ def compose(
     - `film`: a film.yaml, or a mapping with its keys (docs/films.md) and paths from the current folder. Of a file, what is as it
       was is not made again.
     - `work`: where pieces of a film are kept. `force`: write over files that others made.
+    - `device`: "auto", "cpu" or "cuda". `progress` hears how far it is.
 
     StageError, with facts and a hint, for unknown keys, runs that are not finished and files that may not be written over.
 
@@ -126,6 +132,14 @@ def _run(folder: Path, file: Path) -> tuple[Path, RunOptions]:
     return Path(known["path"]), RunOptions(pipeline=place.name, work=place.parents[1], pipelines_file=file)
 
 
-def _work(person: Pathish) -> Path:
+def _work(person: Path) -> Path:
     """The work folder of a run, or the usual one for a file."""
-    return Path(person).absolute().parents[1] if Path(person).is_dir() else WORK
+    return person.absolute().parents[1] if person.is_dir() else WORK
+
+
+def _place(given: Pathish | Avatar) -> Path:
+    """Where an avatar is from; UsageError where it is from no file."""
+    place = Path(given) if isinstance(given, str | PathLike) else given.path
+    if place is None:
+        raise UsageError("this avatar is from no file", "give the folder of a run, such as work/dance/default")
+    return place

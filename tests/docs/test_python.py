@@ -1,5 +1,6 @@
 """Every line of Python in the documents is run, on a small avatar; so is the stage that architecture.md adds."""
 
+import inspect
 import shutil
 import sys
 from types import ModuleType
@@ -7,9 +8,14 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+import hugs
+import hugs.learning
 from hugs_cli import pipelines
 from stages.contract import Job
 from stages.formats.images import read_image
+from stages.formats.poses import read_poses
+from stages.formats.splats import read_avatar
+from stages.training.results import Result
 from tests.docs.documents import documents
 from tests.made import tiny
 
@@ -66,7 +72,25 @@ def test_the_plot_that_researchers_draw(work, monkeypatch):
     assert (work / "loss.pdf").stat().st_size > 1000
 
 
-def test_python_md(work):
+def checked(function, result=None):
+    """In place of a function that takes long: refuses what it would not take."""
+
+    def called(*given, **named):
+        inspect.signature(function).bind(*given, **named)
+        return result
+
+    return called
+
+
+def test_python_md(work, monkeypatch):
+    """What runs, trains and makes films is run in tests/hugs and tests/examples; here its calls are checked."""
+    train, scene = work / "work/dance/default/train", tiny.make_scene()
+    person = read_avatar(train / "avatar.npz"), read_poses(train / "body.npz")
+    for name in ("run", "export", "animate", "compose"):
+        monkeypatch.setattr(hugs, name, checked(getattr(hugs, name)))
+    monkeypatch.setattr(hugs, "train", checked(hugs.train, Result([person], scene, None, None, [], {})))
+    taken = [*inspect.signature(hugs.learning.train).parameters]
+    np.savez(work / "arrays.npz", **dict.fromkeys(taken, np.zeros(1)))
     names: dict = {}
     first, *more = DOCUMENTS["docs/python.md"].blocks("python")
     exec(first, names)
@@ -74,6 +98,7 @@ def test_python_md(work):
     for block in more:
         exec(block, names)
     assert names["turns"].grad.abs().max() > 0 and names["viewmat"].grad.abs().max() > 0
+    assert len(names["mine"].record) == len(person[0]) and names["room"].count == len(scene)
     drawn = read_image(work / "frame.png").astype(float)
     truth = read_image(work / "work" / "dance" / "default" / "sfm" / "images" / f"{tiny.NAMES[0]}.png")
     assert np.abs(drawn - truth).max() <= 2

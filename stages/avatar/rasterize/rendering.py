@@ -48,7 +48,7 @@ class Gaussians(NamedTuple):
 
 class Camera(NamedTuple):
     """A pinhole camera: viewmat[4,4] camera_from_world in metres with OpenCV axes (x right, y down, z forward), K[3,3] px,
-    the centre of the first pixel at (0.5, 0.5), and the size of its picture in px.
+    the centre of the first pixel at (0.5, 0.5), width and height of its picture in px.
     """
 
     viewmat: Tensor

@@ -1,0 +1,97 @@
+"""`hugs.run`: what the command `hugs run` does."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hugs.progress import Hear, console_for
+from hugs_cli import pipelines
+from hugs_cli.cache import engine
+from hugs_cli.cache.engine import RunStopped
+from hugs_cli.device import device_of
+from hugs_cli.options import MAX_SEED, RunOptions
+from hugs_cli.pipelines import UsageError
+
+if TYPE_CHECKING:
+    from hugs.avatar import Avatar
+
+Pathish = str | PathLike[str]
+
+
+def run(
+    video: Pathish,
+    pipeline: str = "default",
+    work: Pathish = "work",
+    settings: Mapping[str, Any] | None = None,
+    progress: Hear | None = None,
+    *,
+    masks: Pathish | None = None,
+    person: str | None = None,
+    cameras: Pathish | None = None,
+    smpl_fit: Pathish | None = None,
+    body_model: Pathish | None = None,
+    seed: int = 0,
+    device: str = "auto",
+    force: bool = False,
+    pipelines_file: Pathish | None = None,
+) -> Avatar:
+    """Run a pipeline on a clip, as `hugs run` does, and load what it leaves, as `hugs.load` of its folder does.
+
+    The results lie where the command keeps them, `WORK/CLIP/PIPELINE`, and what is fresh there is not made again. Each stage
+    runs in a process of its own, so neither a notebook nor a script needs anything around the call. `progress` is called with
+    a `Progress`; without it the lines of the command go to stderr. Ctrl-C stops the stage and raises KeyboardInterrupt:
+    finished stages are kept, and the next call goes on.
+
+    - `video`: a video, a folder of pictures, or of a data set. `pipeline`: one of pipelines.yaml, or of `pipelines_file`.
+    - `work`: the folder of all results. `settings` by stage and name, as {"train.steps": 4000}; `hugs stages` lists them.
+    - `masks`, `cameras`, `smpl_fit`, `body_model`: files of other programs, see docs/inputs.md.
+    - `person`: whom to follow where several are in view; "all": each.
+    - `seed` of all random numbers. `device`: "auto", "cpu" or "cuda". `force`: run all stages again.
+
+    StageError, with the facts and the hint that the command prints; KeyboardInterrupt where it was asked to stop.
+
+        avatar = hugs.run("dance.mp4", settings={"train.steps": 4000}, progress=print)
+    """
+    if not 0 <= seed <= MAX_SEED:
+        raise UsageError(f"no such seed: {seed}", f"seeds go from 0 to {MAX_SEED}")
+    given = RunOptions(
+        set_=[f"{name}={json.dumps(value)}" for name, value in (settings or {}).items()],
+        masks=_path(masks),
+        person=person,
+        cameras=_path(cameras),
+        smpl_fit=_path(smpl_fit),
+        body_model=_path(body_model),
+        seed=seed,
+        pipeline=pipeline,
+        work=Path(work),
+        pipelines_file=_path(pipelines_file) or pipelines.FILE,
+    )
+    folder = _finish(given, Path(video), device, force, progress)
+    from hugs.avatar import load  # torch, which no stage's process shares
+
+    return load(folder)
+
+
+def _finish(given: RunOptions, video: Path, device: str, force: bool, progress: Hear | None) -> Path:
+    """Bring all stages up to date; the folder of their links."""
+    session = given.session(video)
+    wanted = list(session.pipeline.stages)
+    session.check_sources()
+    session.workspace.create()
+    console = console_for(progress)
+    console.header(video.name, "", session.pipeline.name, str(session.workspace.root), *device_of(device))
+    forced = frozenset(wanted if force else ())
+    try:
+        engine.run(session, wanted, forced, device, console, report=True)
+    except RunStopped as stopped:
+        where = f" in {stopped.stage}" if stopped.stage else ""
+        raise KeyboardInterrupt(f"stopped{where}; finished stages are kept") from None
+    return session.workspace.links
+
+
+def _path(given: Pathish | None) -> Path | None:
+    return None if given is None else Path(given)

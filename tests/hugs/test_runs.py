@@ -1,0 +1,82 @@
+"""`hugs.run`: results, cache, errors and Ctrl-C of the command, from this process."""
+
+import signal
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+import hugs
+from tests.made.flow import ALL, WHOLE, Flow
+from tests.made.said import holds
+
+FILE = "pipelines.yaml"
+
+
+@pytest.fixture
+def flow(tmp_path, monkeypatch):
+    """A small pipeline in the current folder; what `run` loads is the folder itself."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("HUGS_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setitem(sys.modules, "hugs.avatar", SimpleNamespace(load=lambda folder: folder))
+    yield Flow(tmp_path)
+    for name in [name for name in sys.modules if name.partition(".")[0] == "flow"]:
+        del sys.modules[name]
+
+
+def ended(heard: list[hugs.Progress]) -> list[tuple[str, str]]:
+    return [(one.stage, one.state) for one in heard if one.state not in ("", "running")]
+
+
+@pytest.mark.slow
+def test_a_run_is_that_of_the_command_and_any_thread_may_call_it(flow):
+    heard: list[hugs.Progress] = []
+    with ThreadPoolExecutor(1) as pool:
+        call = pool.submit(hugs.run, "clip.mp4", progress=heard.append, pipelines_file=FILE)
+    assert call.result() == Path("work/clip/default") and flow.text("four") == WHOLE
+    assert ended(heard) == [(name, "done") for name in ALL]
+    assert flow.ran() == {}, "the command finds all of it"
+    heard.clear()
+    hugs.run("clip.mp4", settings={"four.word": "z"}, progress=heard.append, pipelines_file=FILE)
+    assert ended(heard) == [(name, "cached") for name in ALL[:-1]] + [("four", "done")]
+    assert flow.text("four").startswith("four:z") and any(
+        holds(one, "four", "a -> z") for now in heard for one in now.said
+    )
+
+
+@pytest.mark.slow
+def test_ctrl_c_stops_the_stage_and_the_next_call_goes_on(flow):
+    before, pressed = signal.getsignal(signal.SIGINT), []
+
+    def press(now: hugs.Progress) -> None:
+        if now.stage == "three" and now.done >= 2 and not pressed:
+            pressed.append(now)
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt, match="three"):
+        hugs.run("clip.mp4", settings={"three.delay": 1.0}, progress=press, pipelines_file=FILE)
+    assert not (flow.work / "clip/default/three").exists() and signal.getsignal(signal.SIGINT) is before
+    heard: list[hugs.Progress] = []
+    hugs.run("clip.mp4", progress=heard.append, pipelines_file=FILE)
+    said = " ".join(one for now in heard if now.stage == "three" for one in now.said)
+    assert "began at step" in said and "began at step 0" not in said and flow.text("four") == WHOLE
+
+
+@pytest.mark.slow
+def test_errors_carry_facts_and_hint(flow):
+    with pytest.raises(hugs.StageError, match="seed"):
+        hugs.run("clip.mp4", seed=-1)
+    with pytest.raises(hugs.StageError) as refused:
+        hugs.run("clip.mp4", settings={"one.wort": 1}, pipelines_file=FILE)
+    assert holds(str(refused.value), "wort", "hint: did you mean `word`?")
+    flow.edit(
+        "helper",
+        "# with a comment",
+        'from stages.contract import StageError; raise StageError("no luck", "wait", ["2 of 3"])',
+    )
+    with pytest.raises(hugs.StageError) as failed:
+        hugs.run("clip.mp4", progress=lambda now: None, pipelines_file=FILE)
+    assert str(failed.value).splitlines() == ["no luck", "  2 of 3", "hint: wait"]
