@@ -44,6 +44,7 @@ def test_every_document_is_listed():
 
 def test_the_front_door_is_small():
     words = {document.name: len(re.findall(r"\S*\w\S*", document.text)) for document in documents()}
-    assert words["README.md"] <= 700 and sum(words.values()) <= 16_000
+    assert words["README.md"] <= 700
+    assert sum(words.values()) - words["docs/reference.md"] <= 16_000, "the reference is made from docstrings"
     assert (ROOT / "docs" / "pictures" / "strip.webp").stat().st_size < 2e6
     assert (ROOT / "docs" / "pictures" / "report.webp").stat().st_size < 4e5
