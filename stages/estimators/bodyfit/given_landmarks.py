@@ -166,8 +166,15 @@ def _correct(
         facts = [f"{both} frames are in the file and show somebody to BlazePose, {LEAST} are needed"]
         hint = "give masks of the person with --masks, so that BlazePose knows where to look"
         raise StageError(f"the landmarks of {name} can be compared with nothing", hint, facts)
-    best = min(known, key=lambda track: known[track].off)
-    scale, shift, words = correction(known[best], size, float(np.median(height)), name)
+    ranked, refused = sorted(known, key=lambda track: known[track].off), []
+    for best in ranked:  # somebody who moves alike beside the person is as near but for a shift
+        try:
+            scale, shift, words = correction(known[best], size, float(np.median(height)), name)
+            break
+        except StageError as error:
+            refused.append(error)
+    else:
+        raise refused[0]
     order = MIRROR if known[best].swapped else np.arange(COUNT)
     if len(set(tracks)) > 1:
         words = [f"are of {len(set(tracks))} people: {best or 'the one without an id'} is the person", *words]
