@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from stages.contract import StageError
-from stages.estimators.bodyfit.agreement import LEAST, MIRROR, OFF, astray, compare, correction, turned
+from stages.estimators.bodyfit.agreement import EXCHANGED, LEAST, MIRROR, OFF, SURE, astray, compare, correction, turned
 from stages.estimators.bodyfit.frames import between, matching_rows
 from stages.formats.datasets.undistorted import Grid, lens_points, pinhole_points
 from stages.formats.facts import Listing
@@ -88,7 +88,10 @@ def given_landmarks(
     for note in said:
         say(note)
     facts["corrected"] = said
-    merged = [_merge(one, track, grid, given) for one, track, grid in zip(chosen, tracks, grids, strict=True)]
+    merged = [
+        _merge(one, track, seen[i], grid, given)
+        for i, (one, track, grid) in enumerate(zip(chosen, tracks, grids, strict=True))
+    ]
     facts["frames"] = sum(one is not None for one in chosen)
     return merged, facts
 
@@ -163,8 +166,15 @@ def _correct(
         facts = [f"{both} frames are in the file and show somebody to BlazePose, {LEAST} are needed"]
         hint = "give masks of the person with --masks, so that BlazePose knows where to look"
         raise StageError(f"the landmarks of {name} can be compared with nothing", hint, facts)
-    best = min(known, key=lambda track: known[track].off)
-    scale, shift, words = correction(known[best], size, float(np.median(height)), name)
+    ranked, refused = sorted(known, key=lambda track: known[track].off), []
+    for best in ranked:  # somebody who moves alike beside the person is as near but for a shift
+        try:
+            scale, shift, words = correction(known[best], size, float(np.median(height)), name)
+            break
+        except StageError as error:
+            refused.append(error)
+    else:
+        raise refused[0]
     order = MIRROR if known[best].swapped else np.arange(COUNT)
     if len(set(tracks)) > 1:
         words = [f"are of {len(set(tracks))} people: {best or 'the one without an id'} is the person", *words]
@@ -194,13 +204,16 @@ def _pick(
 
 
 def _merge(
-    one: Seen | None, track: SeenLandmarks | None, grid: Grid | None, given: GivenLandmarks
+    one: Seen | None, track: SeenLandmarks | None, seen: np.ndarray, grid: Grid | None, given: GivenLandmarks
 ) -> SeenLandmarks | None:
-    """The landmarks of a frame: the file's, and where it has none BlazePose's places with visibility 0, and its 3D."""
+    """The landmarks of a frame: the file's, and where it has none BlazePose's places with visibility 0, and its 3D.
+
+    `seen` [33,2] px are BlazePose's with the lens.
+    """
     if one is None:
         return None
     blank = SeenLandmarks(_VOID["xy"], _VOID["confidence"], _VOID["world"])
-    base = track or blank
+    base = blank if track is None else _same_sides(track, seen, one)
     deep = np.where(np.isfinite(one.world), one.world, base.world)
     if given.xy is None:
         return replace(blank, xy=base.xy, visibility=base.visibility, world=deep) if track else None
@@ -211,3 +224,14 @@ def _merge(
     if not np.isfinite(xy[torso]).all():
         return None
     return SeenLandmarks(xy, np.where(known, one.confidence, 0.0), deep)
+
+
+def _same_sides(track: SeenLandmarks, seen: np.ndarray, one: Seen) -> SeenLandmarks:
+    """BlazePose's landmarks with the sides that the file has, where it exchanged them in this frame."""
+    sure = np.isfinite(one.xy).all(-1) & (one.confidence >= SURE)
+    off, exchanged = (
+        np.linalg.norm(one.xy[sure] - seen[order][sure], axis=1).sum() for order in (np.arange(COUNT), MIRROR)
+    )
+    if exchanged >= EXCHANGED * off:
+        return track
+    return SeenLandmarks(track.xy[MIRROR], track.visibility[MIRROR], track.world[MIRROR])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -53,9 +52,6 @@ def evidence_of(
     known = evidence = gather(followed, names)
     if given is not None:
         evidence = gather(tracks, names, 1.0 if facts["3d"] else FLAT)
-        both = known.seen & evidence.seen
-        if both.any():  # nobody is shorter because a skeleton ends at the ankles
-            evidence = replace(evidence, height=evidence.height * np.median(known.height[both] / evidence.height[both]))
     evidence, strangers = drop_strangers(evidence, clip.masks)
     evidence, swapped = vote_sides(drop_cut(evidence, (clip.cameras.width, clip.cameras.height)))
     count = int(evidence.seen.sum())

@@ -117,6 +117,13 @@ def test_of_several_people_the_one_in_the_picture_is_taken_also_where_ids_change
     assert facts["frames"] == COUNT and holds(said, "3 people")
 
 
+def test_depths_of_a_frame_in_which_blazepose_exchanges_sides_follow_the_file(clip, tmp_path):
+    tracks = list(clip[3])
+    tracks[9] = SeenLandmarks(*(part[MIRROR] for part in vars(tracks[9]).values()))
+    _, _, world, *_ = take(clip, made.mmpose(tmp_path / "a.json", clip[1], first=0), tracks=tracks)
+    np.testing.assert_array_equal(world[9], clip[3][9].world)
+
+
 def test_people_in_an_array_are_told_apart_by_their_place(clip, tmp_path):
     both = np.stack([clip[1] - [150, 0], clip[1]], 1)
     rows = [made.triples("Halpe-26", both[:, k]) for k in (0, 1)]
