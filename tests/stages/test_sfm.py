@@ -59,6 +59,7 @@ def test_i04_i07_a_walk_past_a_room_is_reconstructed_with_its_lens(tmp_path):
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
         "cameras.npz",
         "images",
+        "lens.npz",
         "masks",
         "points.ply",
         "sfm.json",

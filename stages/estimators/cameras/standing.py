@@ -11,6 +11,7 @@ from stages.estimators.cameras.plain import Plain, Views, standing_part
 from stages.estimators.cameras.task import GUESSED_FOCAL, Solution, Task, fixed_views
 from stages.estimators.cameras.verdict import Footage, NoCameras
 
+WALKED = 3  # frames with cameras apart from each other: who has them walks
 HUMAN_ONLY = "film while walking a few steps around the person to get the scene too"
 
 
@@ -49,7 +50,7 @@ def zooms(task: Task, footage: Footage, zoom: np.ndarray, facts: dict[str, Any])
 def taken_to_stand(task: Task, views: Views, edges: Plain, refusal: NoCameras) -> Solution:
     """`still` where features place no cameras, unless the background shows that the camera moves: then `refusal` is raised.
 
-    Of a camera that was bumped, the larger part that stands.
+    So it is where WALKED frames were placed. Of a camera that was bumped, the larger part that stands.
     """
     names, why = task.names, "edges in the background stay where they are, though other parts change"
     if edges.moves:
@@ -58,6 +59,8 @@ def taken_to_stand(task: Task, views: Views, edges: Plain, refusal: NoCameras) -
         if len(names) < max(math.ceil(task.min_share * len(task.names)), 2):
             raise refusal
         why = f"it stands in frames {names[0]} to {names[-1]}; the {len(task.names) - len(names)} others are left out"
+    elif refusal.placed >= WALKED:
+        raise refusal
     elif np.isnan(edges.stays):
         why = "nothing that can be seen of the background shows whether it moves"
     task.job.warn(

@@ -27,7 +27,11 @@ ALONE = "go on with the person alone: `--pipeline human_only --set sfm.camera=fi
 
 
 class NoCameras(StageError):
-    """Too few frames could be placed by what their backgrounds show."""
+    """Too few frames could be placed by what their backgrounds show; `placed` of them were."""
+
+    def __init__(self, problem: str, hint: str, facts: list[str], placed: int):
+        super().__init__(problem, hint, facts)
+        self.placed = placed
 
 
 @dataclass(frozen=True)
@@ -76,7 +80,7 @@ class Footage:
             f"{count} frames, verified pairs: {len(pairs)}",
             f"features a frame: {features.min()} at least, {np.median(features):.0f} median",
         ]
-        raise NoCameras(problem + why, verdict.hint, [*verdict.facts, *found, *tried])
+        raise NoCameras(problem + why, verdict.hint, [*verdict.facts, *found, *tried], have)
 
 
 def judge_cameras(

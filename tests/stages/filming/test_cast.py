@@ -108,11 +108,11 @@ def test_what_casts_the_shadow_is_the_body_or_where_that_is_not_known_the_gaussi
     assert alone.model is not None
     np.testing.assert_allclose(alone.baked.casters.middles, own.baked.casters.middles, atol=1e-6)
     avatar = read_avatar(tiny["train"] / "avatar.npz")
-    write_splats(tmp_path / "other.npz", replace(avatar, joints=avatar.joints * 1.1))
+    write_splats(tmp_path / "other.npz", replace(avatar, joints=avatar.joints * [1.1, 1, 1]))
     other = cast(Person(avatar=tmp_path / "other.npz", motion="wave"), "a", SLOPE, FPS, "cpu")
     assert other.model is None
     limb = own.baked.casters.covariances.diagonal(dim1=1, dim2=2).sum(1) > 1e-4
-    held = replace(avatar, joints=avatar.joints * 1.1, casters=(np.ones((24, 3)), np.zeros((24, 3, 3))))
+    held = replace(avatar, joints=avatar.joints * [1.1, 1, 1], casters=(np.ones((24, 3)), np.zeros((24, 3, 3))))
     write_splats(tmp_path / "held.npz", held)
     told = cast(Person(avatar=tmp_path / "held.npz", motion="wave"), "a", SLOPE, FPS, "cpu")
     assert (told.baked.casters.middles == 1).all(), "as the file has it"
@@ -120,7 +120,7 @@ def test_what_casts_the_shadow_is_the_body_or_where_that_is_not_known_the_gaussi
     half = np.arange(len(avatar)) % 2 == 0
     for opacity, seen in ((0.2, False), (0.5, True)):  # a haze of half the Gaussians, a metre away
         means, opacities = avatar.means + half[:, None], np.where(half, opacity, 0.9)
-        hazy = replace(avatar, joints=avatar.joints * 1.1, means=means, opacities=opacities)
+        hazy = replace(avatar, joints=avatar.joints * [1.1, 1, 1], means=means, opacities=opacities)
         write_splats(tmp_path / "hazy.npz", hazy)
         hazy = cast(Person(avatar=tmp_path / "hazy.npz", motion="wave"), "a", SLOPE, FPS, "cpu")
         away = (hazy.baked.casters.middles - other.baked.casters.middles)[limb].norm(dim=1)

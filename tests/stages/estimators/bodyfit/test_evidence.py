@@ -72,7 +72,7 @@ def test_a_third_of_a_clip_of_many_frames_is_set_right_as_one_of_few_is():
     model = read_body_model()
     names, _ = model_landmarks(model)
     few = gather(bodyfit_clips.make(model, frames=30).tracks, names)
-    parts = {key: getattr(few, key).repeat(12, 0) for key in ("xy", "weight", "world", "seen", "height")}
+    parts = {key: getattr(few, key).repeat(12, 0) for key in ("xy", "weight", "world", "seen", "height", "deep")}
     evidence, _ = vote_sides(replace(few, **parts))
     run = slice(144, 264)
     exchanged = replace(evidence, xy=evidence.xy.copy(), world=evidence.world.copy(), weight=evidence.weight.copy())
