@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,7 +33,10 @@ def run(
     person: str | None = None,
     cameras: Pathish | None = None,
     smpl_fit: Pathish | None = None,
+    landmarks: Pathish | None = None,
     body_model: Pathish | None = None,
+    height: str | float | Sequence[str | float] | None = None,
+    scale: str | None = None,
     seed: int = 0,
     device: str = "auto",
     force: bool = False,
@@ -48,8 +51,10 @@ def run(
 
     - `video`: a video, a folder of pictures, or of a data set. `pipeline`: one of pipelines.yaml, or of `pipelines_file`.
     - `work`: the folder of all results. `settings` by stage and name, as {"train.steps": 4000}; `hugs stages` lists them.
-    - `masks`, `cameras`, `smpl_fit`, `body_model`: files of other programs, see docs/inputs.md.
+    - `masks`, `cameras`, `smpl_fit`, `landmarks`, `body_model`: files of other programs, see docs/inputs.md.
     - `person`: whom to follow where several are in view; "all": each.
+    - `height`: how tall, barefoot, in m or as "6ft1"; of several people in their order. `scale`: a length of the page and the true
+      one, as "2.31=2.00", or "cameras".
     - `seed` of all random numbers. `device`: "auto", "cpu" or "cuda". `force`: run all stages again.
 
     StageError, with the facts and the hint that the command prints; KeyboardInterrupt where it was asked to stop.
@@ -64,7 +69,10 @@ def run(
         person=person,
         cameras=_path(cameras),
         smpl_fit=_path(smpl_fit),
+        landmarks=_path(landmarks),
         body_model=_path(body_model),
+        height=_texts(height),
+        scale=scale,
         seed=seed,
         pipeline=pipeline,
         work=Path(work),
@@ -95,3 +103,10 @@ def _finish(given: RunOptions, video: Path, device: str, force: bool, progress: 
 
 def _path(given: Pathish | None) -> Path | None:
     return None if given is None else Path(given)
+
+
+def _texts(given: str | float | Sequence[str | float] | None) -> list[str] | None:
+    """One value, or several, as they are written on a command line."""
+    if given is None:
+        return None
+    return [str(one) for one in ([given] if isinstance(given, str | int | float) else given)]

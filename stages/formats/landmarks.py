@@ -21,6 +21,10 @@ NAMES = (
 )
 # fmt: on
 COUNT = len(NAMES)
+MIRRORED = [
+    NAMES.index(name.replace("left", "RIGHT").replace("right", "left").replace("RIGHT", "right")) for name in NAMES
+]
+"""The place of each on the other side of the body."""
 
 
 def write_landmarks(path: Path, names: Sequence[str], seen: Sequence[SeenLandmarks | None]) -> None:

@@ -24,7 +24,7 @@ BROUGHT = (
     "--only-failed",
 )
 """What this clip has not; tests/test_datasets_end_to_end.py, tests/hugs_cli and tests/stages bring them."""
-SAME = {"--dry-run", "--jobs", "--name", "--budget", "--seeds", "--plot"}
+SAME = {"--dry-run", "--jobs", "--name", "--budget", "--seeds", "--plot", "--height", "--scale", "--person"}
 
 
 def examples() -> list[str]:

@@ -1,14 +1,17 @@
 """`hugs.run`: results, cache, errors and Ctrl-C of the command, from this process."""
 
+import inspect
 import signal
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import fields
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 import hugs
+from hugs_cli.options import RunOptions
 from tests.made.flow import ALL, WHOLE, Flow
 from tests.made.said import holds
 
@@ -63,6 +66,19 @@ def test_ctrl_c_stops_the_stage_and_the_next_call_goes_on(flow):
     hugs.run("clip.mp4", progress=heard.append, pipelines_file=FILE)
     said = " ".join(one for now in heard if now.stage == "three" for one in now.said)
     assert "began at step" in said and "began at step 0" not in said and flow.text("four") == WHOLE
+
+
+def test_all_that_a_run_may_be_given_may_be_given_from_python(monkeypatch):
+    """The options of the command, but `--set`, which is `settings`."""
+    taken = {field.name for field in fields(RunOptions)} - {"set_"}
+    assert taken <= set(inspect.signature(hugs.run).parameters)
+    seen: list[RunOptions] = []
+    monkeypatch.setattr("hugs.runs._finish", lambda given, *rest: seen.append(given))
+    monkeypatch.setitem(sys.modules, "hugs.avatar", SimpleNamespace(load=lambda folder: folder))
+    hugs.run("clip.mp4", landmarks="points.json", height=[1.85, "6ft1"], scale="2.31=2.00")
+    hugs.run("clip.mp4", height=1.7)
+    assert [one.height for one in seen] == [["1.85", "6ft1"], ["1.7"]]
+    assert (seen[0].landmarks, seen[0].scale) == (Path("points.json"), "2.31=2.00")
 
 
 @pytest.mark.slow

@@ -8,15 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.landmarks import NAMES
+from stages.formats.landmarks import MIRRORED, NAMES
 from stages.records import SeenLandmarks
 
-MIRROR = np.array(
-    [
-        NAMES.index(" ".join({"left": "right", "right": "left"}.get(w, w) for w in n.split("_")).replace(" ", "_"))
-        for n in NAMES
-    ]
-)
 SURE = 0.5
 LEAST = 5  # frames that both show, from which on they are compared
 OFF = 0.1  # of the person's height, by the median of the points: farther, it is somebody else or another moment
@@ -50,7 +44,7 @@ def compare(
     which makes the person `height` [F] px tall; None where fewer than LEAST frames have both."""
     found = []
     for swapped in (False, True):
-        order = MIRROR if swapped else np.arange(len(NAMES))
+        order = MIRRORED if swapped else np.arange(len(NAMES))
         both = np.isfinite(xy[:, order]).all(-1) & np.isfinite(seen).all(-1)
         both &= (confidence[:, order] >= SURE) & (visibility >= SURE)
         frames = np.flatnonzero(both.sum(1) >= LEAST)

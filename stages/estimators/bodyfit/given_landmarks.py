@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from stages.contract import StageError
-from stages.estimators.bodyfit.agreement import EXCHANGED, LEAST, MIRROR, OFF, SURE, astray, compare, correction, turned
+from stages.estimators.bodyfit.agreement import EXCHANGED, LEAST, OFF, SURE, astray, compare, correction, turned
 from stages.estimators.bodyfit.frames import between, matching_rows
 from stages.formats.datasets.undistorted import Grid, lens_points, pinhole_points
 from stages.formats.facts import Listing
 from stages.formats.frame_names import plain
 from stages.formats.given_landmarks.recognize import read_landmark_file
 from stages.formats.given_landmarks.record import GivenLandmarks
-from stages.formats.landmarks import COUNT, NAMES
+from stages.formats.landmarks import COUNT, MIRRORED, NAMES
 from stages.records import SeenLandmarks
 
 MANY = 20  # people of a file that are compared, those in most frames
@@ -175,7 +175,7 @@ def _correct(
             refused.append(error)
     else:
         raise refused[0]
-    order = MIRROR if known[best].swapped else np.arange(COUNT)
+    order = MIRRORED if known[best].swapped else np.arange(COUNT)
     if len(set(tracks)) > 1:
         words = [f"are of {len(set(tracks))} people: {best or 'the one without an id'} is the person", *words]
 
@@ -230,8 +230,8 @@ def _same_sides(track: SeenLandmarks, seen: np.ndarray, one: Seen) -> SeenLandma
     """BlazePose's landmarks with the sides that the file has, where it exchanged them in this frame."""
     sure = np.isfinite(one.xy).all(-1) & (one.confidence >= SURE)
     off, exchanged = (
-        np.linalg.norm(one.xy[sure] - seen[order][sure], axis=1).sum() for order in (np.arange(COUNT), MIRROR)
+        np.linalg.norm(one.xy[sure] - seen[order][sure], axis=1).sum() for order in (np.arange(COUNT), MIRRORED)
     )
     if exchanged >= EXCHANGED * off:
         return track
-    return SeenLandmarks(track.xy[MIRROR], track.visibility[MIRROR], track.world[MIRROR])
+    return SeenLandmarks(track.xy[MIRRORED], track.visibility[MIRRORED], track.world[MIRRORED])

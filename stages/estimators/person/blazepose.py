@@ -16,10 +16,9 @@ from ai_edge_litert.interpreter import Interpreter
 
 from stages.estimators import assets
 from stages.estimators.person.crops import Roi, crop, to_picture
-from stages.formats.landmarks import NAMES
+from stages.formats.landmarks import COUNT, MIRRORED, NAMES
 from stages.records import SeenLandmarks
 
-LANDMARKS = 33
 DETECTOR_SIDE, CROP_SIDE, HEATMAP_SIDE = 224, 256, 64  # px, the networks' own
 SURE = 0.5  # probability from which a detection, a tracked person or a heat map counts
 NEIGHBOURHOOD = 3  # heat map cells on each side of the peak that take part in its mean
@@ -34,9 +33,7 @@ BETTER = 0.005  # by which the probability of a person must grow to leave the cr
 STRAY = 0.03  # share of the crop's side by which one look's landmark may differ from the middle one to be averaged
 
 TORSO = [NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "hip")]
-MIRRORED = [
-    NAMES.index(name.replace("left", "RIGHT").replace("right", "left").replace("RIGHT", "right")) for name in NAMES
-] + list(range(LANDMARKS, LANDMARKS + 6))
+ROWS_MIRRORED = [*MIRRORED, *range(COUNT, COUNT + 6)]
 """The network's rows with left and right exchanged; its last six are about the whole person."""
 
 
@@ -136,19 +133,23 @@ class BlazePose:
         spots = refine(points[:, :2] / CROP_SIDE, sigmoid(heat.reshape(HEATMAP_SIDE, HEATMAP_SIDE, -1)))
         world, mask = world.reshape(-1, 3), mask.reshape(CROP_SIDE, CROP_SIDE)
         if mirrored:
-            spots, points, world = spots[MIRRORED], points[MIRRORED], world[MIRRORED] * np.array([-1, 1, 1])
+            spots, points, world = (
+                spots[ROWS_MIRRORED],
+                points[ROWS_MIRRORED],
+                world[ROWS_MIRRORED] * np.array([-1, 1, 1]),
+            )
             spots[:, 0] = 1 - spots[:, 0]
             mask = mask[:, ::-1]
         xy = to_picture(spots, roi)
         c, s = np.cos(roi.angle), np.sin(roi.angle)
-        turned = world[:LANDMARKS] @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+        turned = world[:COUNT] @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
         pose = Pose(
-            xy[:LANDMARKS],
-            sigmoid(points[:LANDMARKS, 3]) * sigmoid(points[:LANDMARKS, 4]),
+            xy[:COUNT],
+            sigmoid(points[:COUNT, 3]) * sigmoid(points[:COUNT, 4]),
             turned,
             float(presence.reshape(())),
             roi,
-            Roi.around(xy[LANDMARKS], xy[LANDMARKS + 1]),
+            Roi.around(xy[COUNT], xy[COUNT + 1]),
         )
         return pose, mask
 

@@ -69,9 +69,15 @@ class Row:
 
 
 def of_rows(
-    path: str, tool: str, rows: Sequence[Row], names: Sequence[str] | None = None, times: np.ndarray | None = None
+    path: str,
+    tool: str,
+    rows: Sequence[Row],
+    names: Sequence[str] | None = None,
+    times: np.ndarray | None = None,
+    notes: Sequence[str] = (),
 ) -> GivenLandmarks:
-    """The record of the `rows` of a file, whose points have `names` or an order; StageError where there are none."""
+    """The record of the `rows` of a file, whose points have `names` or an order; `notes` are what its reader left out.
+    StageError where there are no rows."""
     if not rows:
         raise StageError(f"{path} holds no landmarks", "let the network run again: it found nobody")
     xy, world, given = (
@@ -82,13 +88,14 @@ def of_rows(
         raise StageError(f"{path} holds no landmarks", HINT, ["its rows have neither 2D nor 3D"])
     number = np.isfinite(seen).all(-1)
     known = number & (seen != 0).any(-1)
-    notes: list[str] = []
+    said = list(notes)
     confidence = known.astype(np.float64)
     if given is not None:
         number, known = number & np.isfinite(given), known & np.isfinite(given)
-        confidence, notes = _confidence(np.where(known, given, 0.0))
+        confidence, words = _confidence(np.where(known, given, 0.0))
+        said += words
     if not number.all():
-        notes.append(f"{(~number).sum()} of {number.size} points are not numbers: left out")
+        said.append(f"{(~number).sum()} of {number.size} points are not numbers: left out")
     skeleton, places = recognise(np.where(known[..., None], seen, np.nan), names, path)
     lacking = places < 0
 
@@ -107,7 +114,7 @@ def of_rows(
         numbers=None if rows[0].number is None else np.array([one.number for one in rows]),
         times=times,
         tracks=tuple(one.track or "" for one in rows) if any(one.track for one in rows) or _twice(rows) else None,
-        notes=tuple(notes),
+        notes=tuple(said),
     )
 
 

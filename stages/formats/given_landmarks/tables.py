@@ -40,12 +40,16 @@ def read_csv(path: Path) -> GivenLandmarks:
     table = np.array([[_value(cell) for cell in line[1:]] + [np.nan] * (len(coords) - len(line) + 1) for line in body])
     first, start = [line[0].strip() for line in body], head[-1][0].strip().lower()
     times = np.array([_value(cell) for cell in first]) if start in TIME else None
-    names = tuple(dict.fromkeys(part for part, coord in zip(parts, coords) if coord.strip().lower() in AXES[:2]))
-    rows = []
-    for who in dict.fromkeys(people):
-        at = {(p, c.strip().lower()): k for k, (p, c, one) in enumerate(zip(parts, coords, people)) if one == who}
+    places: dict[str, dict[tuple[str, str], int]] = {who: {} for who in people}
+    for k, (part, coord, who) in enumerate(zip(parts, coords, people)):
+        places[who][part, coord.strip().lower()] = k
+    named_by = [[part for part, axis in at if axis == AXES[0] and (part, AXES[1]) in at] for at in places.values()]
+    names = max(named_by, key=len, default=[])
+    rows, few = [], []
+    for who, at in places.items():
         if any((name, axis) not in at for name in names for axis in AXES[:2]):
-            continue  # what only some individuals have
+            few.append(who.strip())
+            continue
         xyz = np.stack([table[:, [at[name, axis] for name in names]] for axis in AXES if (names[0], axis) in at], -1)
         sure = next((key for key in SURE if (names[0], key) in at), None)
         trust = None if sure is None else table[:, [at[name, sure] for name in names]]
@@ -61,7 +65,8 @@ def read_csv(path: Path) -> GivenLandmarks:
                     track=who.strip() or None,
                 )
             )
-    return of_rows(str(path), "table", rows, names, times)
+    notes = [f"{', '.join(few)} of {path.name} have not all points: left out"] if few else []
+    return of_rows(str(path), "table", rows, names, times, notes)
 
 
 def read_trc(path: Path) -> GivenLandmarks:

@@ -7,11 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stages.contract import StageError
-from stages.estimators.bodyfit.agreement import MIRROR
 from stages.estimators.bodyfit.given_landmarks import check_landmarks, given_landmarks
 from stages.formats.datasets.undistorted import lens_points, opencv_grid
 from stages.formats.facts import Frame, Listing, Video
-from stages.formats.landmarks import NAMES
+from stages.formats.landmarks import MIRRORED, NAMES
 from stages.records import SeenLandmarks
 from tests.made import landmark_files as made
 from tests.made.said import holds
@@ -74,8 +73,8 @@ def test_a_good_file_takes_blazeposes_place_and_nothing_is_said(clip, tmp_path):
 
 WRONG = {
     "y up": (lambda xy: xy * [1, -1] + [0, 360], "y"),
-    "mirrored pictures": (lambda xy: (xy * [-1, 1] + [640, 0])[:, MIRROR], "mirrored"),
-    "swapped sides": (lambda xy: xy[:, MIRROR], "left and right"),
+    "mirrored pictures": (lambda xy: (xy * [-1, 1] + [640, 0])[:, MIRRORED], "mirrored"),
+    "swapped sides": (lambda xy: xy[:, MIRRORED], "left and right"),
     "pictures of 1920": (lambda xy: 3 * xy, "1920"),
     "pictures of 480, y up": (lambda xy: 0.75 * (xy * [1, -1] + [0, 360]), "480"),
     "shares": (lambda xy: xy / SIZE, "0 to 1"),
@@ -119,7 +118,7 @@ def test_of_several_people_the_one_in_the_picture_is_taken_also_where_ids_change
 
 def test_depths_of_a_frame_in_which_blazepose_exchanges_sides_follow_the_file(clip, tmp_path):
     tracks = list(clip[3])
-    tracks[9] = SeenLandmarks(*(part[MIRROR] for part in vars(tracks[9]).values()))
+    tracks[9] = SeenLandmarks(*(part[MIRRORED] for part in vars(tracks[9]).values()))
     _, _, world, *_ = take(clip, made.mmpose(tmp_path / "a.json", clip[1], first=0), tracks=tracks)
     np.testing.assert_array_equal(world[9], clip[3][9].world)
 

@@ -8,7 +8,7 @@ import pytest
 
 from stages.contract import StageError
 from stages.estimators import assets
-from stages.estimators.person.blazepose import LANDMARKS, LOOKS, NAMES, BlazePose, anchors, refine
+from stages.estimators.person.blazepose import COUNT, LOOKS, NAMES, BlazePose, anchors, refine
 from stages.estimators.person.crops import Roi, crop, to_picture
 
 at = {name: i for i, name in enumerate(NAMES)}
@@ -22,7 +22,7 @@ def moved(image, matrix, size):
 
 
 def test_names_and_anchors():
-    assert len(NAMES) == LANDMARKS == len(set(NAMES)) and NAMES[24] == "right_hip"
+    assert len(NAMES) == COUNT == 33 == len(set(NAMES)) and NAMES[24] == "right_hip"
     grid = anchors()
     assert grid.shape == (2254, 2) and grid.min() > 0 and grid.max() < 1
     assert np.allclose(grid[:3], [[0.5 / 28, 0.5 / 28]] * 2 + [[1.5 / 28, 0.5 / 28]])

@@ -94,3 +94,17 @@ def test_what_holds_no_landmarks_is_refused_by_name(tmp_path, name, content):
     with pytest.raises(StageError) as error:
         read_landmark_file(tmp_path / name, SIZE)
     assert name in error.value.problem
+
+
+def test_individuals_of_a_table_without_all_points_are_left_out_and_named(tmp_path):
+    """As DeepLabCut's `single`, which has points of its own."""
+    parts = ["left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle"]
+    columns = [("ann", part, axis) for part in parts for axis in "xy"] + [("single", "ball", axis) for axis in "xy"]
+    head = [["individuals", *(who for who, _, _ in columns)], ["bodyparts", *(part for _, part, _ in columns)]]
+    rows = [[str(i), *(str(10.0 * k + i) for k in range(len(columns)))] for i in range(3)]
+    lines = [*head, ["coords", *(axis for *_, axis in columns)], *rows]
+    (tmp_path / "a.csv").write_text("\n".join(map(",".join, lines)))
+    given = read_landmark_file(tmp_path / "a.csv", SIZE)
+    assert len(given) == 3 and set(given.tracks) == {"ann"}
+    (note,) = given.notes
+    assert holds(note, "single", "left out")
