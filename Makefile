@@ -23,8 +23,7 @@ test: $(VENV)/ready
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/lint-imports
-	$(VENV)/bin/mypy --strict --follow-imports silent --cache-dir .mypy_cache/strict examples
-	$(VENV)/bin/mypy & types=$$!; $(PYTEST) --durations=40; tests=$$?; wait $$types && exit $$tests
+	{ $(VENV)/bin/mypy && $(VENV)/bin/mypy --strict --follow-imports silent --cache-dir .mypy_cache/strict examples; } & types=$$!; $(PYTEST) --durations=40; tests=$$?; wait $$types && exit $$tests
 
 quick: $(VENV)/ready
 	$(PYTEST) -m "not slow"

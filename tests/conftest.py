@@ -15,18 +15,26 @@ if "PYTEST_XDIST_WORKER" in os.environ:  # several tests at a time: the processo
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 CLIPS = "HUGS_CLIPS"  # the environment variable that names the folder of real clips
-FIRST = ("test_end_to_end.py", "test_fleet.py", "test_two_people_end_to_end.py")
+FIRST = (
+    ("tests/test_end_to_end.py",),
+    ("tests/hugs_cli/", "tests/docs/", "tests/tools/"),
+    ("tests/test_", "tests/stages/filming/test_page.py"),
+)
+"""What is tested first, in this order: slow files, lest a worker is left alone with one at the end. The first compiles the kernels;
+the next need none, and the other worker compiles nothing a second time."""
+
 QUICK = 1.0  # s; `make quick` leaves out tests marked `slow`, which take longer
 over: dict[str, float] = {}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files that are slow as a whole come first: with several workers none of them is left alone with one at the end. Of these
-    the first compiles the kernels, and the next do without them for so long: two workers would compile them twice."""
+    """Sort by FIRST; within the same rank, files that are slow as a whole come first."""
 
-    def place(item: pytest.Item) -> tuple[bool, int]:
-        slow = any(mark.name == "slow" for mark in item.parent.own_markers)
-        return not slow, FIRST.index(item.path.name) if item.path.name in FIRST else len(FIRST)
+    def place(item: pytest.Item) -> tuple[int, bool]:
+        assert item.parent is not None
+        file = item.path.relative_to(item.config.rootpath).as_posix()
+        ranks = [rank for rank, places in enumerate(FIRST) if file.startswith(places)]
+        return min(ranks, default=len(FIRST)), all(mark.name != "slow" for mark in item.parent.own_markers)
 
     items.sort(key=place)
 
