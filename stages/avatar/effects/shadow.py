@@ -83,18 +83,23 @@ class Shadow(nn.Module):
         return found | {"darkness": self.darkness.sigmoid().item(), "light": self.light().detach().cpu().numpy()}
 
     def _thickness(self, points: Tensor, body: Casters, turn: Tensor) -> Tensor:
-        """Optical depth [M] of the posed `body` between the lamp and points[M,3]; `turn` [3,3] takes +z to the light."""
-        at, middles = points @ turn, body.middles @ turn
+        """Optical depth [M] of the posed `body` between the lamp and points[M,3]; `turn` [3,3] takes +z to the light.
+
+        The exponent of a part is a quadratic in x and y across the light, so those of all parts are one product of matrices.
+        """
+        middle = body.middles.mean(0)  # the quadratics are written about it, lest large terms cancel
+        x, y, z = ((points - middle) @ turn).unbind(-1)
+        u, v, w = ((body.middles - middle) @ turn).unbind(-1)
         spread = self.size.exp() * (turn.T @ body.covariances @ turn)
         a, b, c = spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]
         soft = (2 * self.softness).exp()
         det = (a + soft) * (c + soft) - b * b
-        dx, dy, dz = (middles[None] - at[:, None]).unbind(-1)
-        distance = ((c + soft) * dx * dx - 2 * b * dx * dy + (a + soft) * dy * dy) / det
-        before = torch.sigmoid(dz / ABOVE)
-        before = before * (body.covariances.diagonal(dim1=1, dim2=2).sum(1) > 0)
-        thick = self.density.exp() * (-0.5 * distance).exp() * before
-        return thick.sum(1)
+        xx, xy, yy = -0.5 * (c + soft) / det, b / det, -0.5 * (a + soft) / det
+        there = body.covariances.diagonal(dim1=1, dim2=2).sum(1) > 0
+        top = torch.where(there, self.density + xx * u * u + xy * u * v + yy * v * v, -torch.inf)
+        terms = torch.stack([xx, xy, yy, -2 * xx * u - xy * v, -xy * u - 2 * yy * v, top])
+        exponents = torch.stack([x * x, x * y, y * y, x, y, torch.ones_like(x)], 1) @ terms
+        return (exponents.exp() * ((w - z[:, None]) / ABOVE).sigmoid()).sum(1)
 
     def _rows_in_reach(self, points: Tensor, body: Casters, turn: Tensor) -> Tensor:
         """Rows of points[N,3] that any part of the posed `body` may shade; `turn` [3,3] takes +z to the light."""
