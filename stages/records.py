@@ -6,6 +6,8 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
+from stages.gestures import Face, Fingers
+
 BETAS = 10
 SH_C0 = 0.5 / np.sqrt(np.pi).item()  # a colour is 0.5 + SH_C0 sh0 + higher terms
 JOINTS = 24
@@ -201,7 +203,7 @@ class Avatar(Scene):
     lbs_weights[N,24+K] (rows sum to 1), joints[24,3] rest joints at `betas`, parents[24] (root -1), betas[10],
     canonical_pose[69] axis-angle of the pose in which the Gaussians stand; K: the bones of `clothes`, 0 with None.
     `casters` cast the shadow: middles [24,3] m and covariances [24,3,3] m^2 of the body's parts at rest; None in files of
-    before 0.3.0 and of other programs.
+    before 0.3.0 and of other programs. `fingers` and `face` are None where the body has none.
     """
 
     lbs_weights: np.ndarray
@@ -211,6 +213,8 @@ class Avatar(Scene):
     canonical_pose: np.ndarray
     clothes: Clothes | None = field(default=None, kw_only=True)
     casters: tuple[np.ndarray, np.ndarray] | None = field(default=None, kw_only=True)
+    fingers: Fingers | None = field(default=None, kw_only=True)
+    face: Face | None = field(default=None, kw_only=True)
 
     @property
     def limb_weights(self) -> np.ndarray:

@@ -1,0 +1,63 @@
+"""Records of fingers and faces, as `records` has those of all else: plain arrays with names, shapes and units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+FINGER_NAMES = tuple(
+    f"{side}_{finger}{part}"
+    for side in ("left", "right")
+    for finger in ("index", "middle", "pinky", "ring", "thumb")
+    for part in (1, 2, 3)
+)
+"""The 30 finger bones in SMPL-X's order; the first of each finger hangs on joint 22, left_hand, or 23, right_hand."""
+FACE_NAMES = tuple(
+    """browDownLeft browDownRight browInnerUp browOuterUpLeft browOuterUpRight cheekPuff cheekSquintLeft
+    cheekSquintRight eyeBlinkLeft eyeBlinkRight eyeLookDownLeft eyeLookDownRight eyeLookInLeft eyeLookInRight
+    eyeLookOutLeft eyeLookOutRight eyeLookUpLeft eyeLookUpRight eyeSquintLeft eyeSquintRight eyeWideLeft
+    eyeWideRight jawForward jawLeft jawOpen jawRight mouthClose mouthDimpleLeft mouthDimpleRight mouthFrownLeft
+    mouthFrownRight mouthFunnel mouthLeft mouthLowerDownLeft mouthLowerDownRight mouthPressLeft mouthPressRight
+    mouthPucker mouthRight mouthRollLower mouthRollUpper mouthShrugLower mouthShrugUpper mouthSmileLeft
+    mouthSmileRight mouthStretchLeft mouthStretchRight mouthUpperUpLeft mouthUpperUpRight noseSneerLeft
+    noseSneerRight tongueOut""".split()
+)
+"""The 52 shapes of a face, named as face capture does."""
+
+
+@dataclass(frozen=True)
+class HandsFace:
+    """What the free body of V vertices has beyond SMPL: finger bones, and shapes of a face.
+
+    finger_regressor[40,V] x vertices at rest are the 30 joints of FINGER_NAMES and the 10 tips of those fingers;
+    finger_weights[V,30] is what they take of the weights of joints 22 and 23. face_points[M,3] m lie on the head of the mean
+    body at rest, and face_shapes[52,M,3] m are how the shapes of FACE_NAMES move them at coefficient 1; float32.
+    """
+
+    finger_regressor: np.ndarray
+    finger_weights: np.ndarray
+    face_points: np.ndarray
+    face_shapes: np.ndarray
+
+
+@dataclass(frozen=True)
+class Fingers:
+    """The 30 finger bones of an avatar, as FINGER_NAMES: joints[30,3] m at rest, where all fingers have the pose 0.
+
+    `shape` [2,15,3] rad is the pose in which the hands lie in the avatar; shares[M,30] is what of the weights of its Gaussians
+    `rows` [M] goes from joints 22 and 23 to the fingers. Without a pose of hands they stay with those joints.
+    """
+
+    joints: np.ndarray
+    shape: np.ndarray
+    rows: np.ndarray
+    shares: np.ndarray
+
+
+@dataclass(frozen=True)
+class Face:
+    """How an avatar's face moves: the Gaussians `rows` [M] by moves[52,M,3] m at rest for coefficient 1 of each of FACE_NAMES."""
+
+    rows: np.ndarray
+    moves: np.ndarray
