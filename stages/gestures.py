@@ -61,3 +61,21 @@ class Face:
 
     rows: np.ndarray
     moves: np.ndarray
+
+
+@dataclass(frozen=True)
+class HandPoses:
+    """Fingers of the free body in F frames, of the left and the right hand.
+
+    `names` [F]; `turns` [F,2,15,3] rad of the bones as `avatar.body.fingers` takes them, 0: as at rest; `shape` [2,15,3] is their
+    median over the frames in which they are read, the pose in which a rigid hand learns. `read` [F,2]: the picture of that frame
+    shows them; `error` [F,2] m: how far a finger's joint is probably off, 0 for a hand that no frame shows; `length` [F,2] px of
+    the hand in the picture, wrist to tip.
+    """
+
+    names: tuple[str, ...]
+    turns: np.ndarray
+    shape: np.ndarray
+    read: np.ndarray
+    error: np.ndarray
+    length: np.ndarray

