@@ -29,6 +29,8 @@ if TYPE_CHECKING:  # the same as HOMES, for type checkers
     from hugs.runs import run as run
     from stages.avatar.rasterize import Camera as Camera
     from stages.contract import StageError as StageError
+    from stages.gestures import FACE_NAMES as FACE_NAMES
+    from stages.gestures import FINGER_NAMES as FINGER_NAMES
     from stages.records import JOINT_NAMES as JOINT_NAMES
     from stages.training.results import Result as Result
 
@@ -43,6 +45,7 @@ HOMES = {
     "hugs.runs": ("run",),
     "stages.avatar.rasterize": ("Camera",),
     "stages.contract": ("StageError",),
+    "stages.gestures": ("FACE_NAMES", "FINGER_NAMES"),
     "stages.records": ("JOINT_NAMES",),
     "stages.training.results": ("Result",),
 }

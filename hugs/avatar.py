@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
@@ -16,8 +17,9 @@ from torch import Tensor
 from hugs.gaussians import Gaussians, Person
 from hugs.motion import Motion, Motions
 from stages import records
+from stages.avatar.body.face import face_vector
 from stages.avatar.body.smpl import Body
-from stages.avatar.drawing.avatar import Baked, PosedAvatar, load_avatar, rested
+from stages.avatar.drawing.avatar import Baked, PosedAvatar, gloved, load_avatar, rested
 from stages.avatar.drawing.rig import rig_of
 from stages.avatar.drawing.shape import Shapes, in_shape, shapes_of
 from stages.avatar.model.person import Resting
@@ -33,6 +35,7 @@ from stages.formats.exchange.read import read_any_avatar
 from stages.formats.facts import Listing, read_facts
 from stages.formats.ground import read_ground
 from stages.formats.trained import read_trained
+from stages.gestures import FACE_NAMES
 
 LEVEL = records.Ground(np.zeros(3), np.array([0.0, 1, 0]), np.array([0.0, 0, 1]), 1.0, 0.0, 0.0, 0, "made")
 """The floor under an avatar without a clip: y is up, and it looks along z."""
@@ -115,6 +118,8 @@ class Avatar:
         global_orient: ArrayLike | Tensor | None = None,
         transl: ArrayLike | Tensor | None = None,
         betas: ArrayLike | Tensor | None = None,
+        hands: ArrayLike | Tensor | None = None,
+        face: Mapping[str, float] | ArrayLike | Tensor | None = None,
     ) -> Person[Tensor]: ...
 
     @overload
@@ -124,33 +129,62 @@ class Avatar:
         global_orient: ArrayLike | None = None,
         transl: ArrayLike | None = None,
         betas: ArrayLike | None = None,
+        hands: ArrayLike | None = None,
+        face: Mapping[str, float] | ArrayLike | None = None,
     ) -> Person[np.ndarray]: ...
 
     def pose(
-        self, body_pose: Any = None, global_orient: Any = None, transl: Any = None, betas: Any = None
+        self,
+        body_pose: Any = None,
+        global_orient: Any = None,
+        transl: Any = None,
+        betas: Any = None,
+        hands: Any = None,
+        face: Any = None,
     ) -> Person[Any]:
         """The person at one pose of SMPL, or at P poses at once; what is left out is zero, and all zero is the T-pose.
 
         `body_pose` [69], [23,3], [P,69] or [P,23,3] and `global_orient` [3] or [P,3] are rotation vectors in radians, `transl`
         [3] or [P,3] is in metres. `betas` [10], one shape for all poses, takes the place of the avatar's own: Gaussians go with
-        the skin under them. Tensors give tensors, differentiable in all four; arrays give arrays. ValueError for other shapes
-        and for numbers that are not finite; StageError for `betas` where the body is not known.
+        the skin under them. `hands` [2,15,3] or [P,2,15,3] in radians are poses of the fingers of FINGER_NAMES, all 0 at rest, and
+        `face` coefficients of the shapes of FACE_NAMES, by name or [52] or [P,52]; without them both are as in the clip. Tensors
+        give tensors, differentiable in all; arrays give arrays. ValueError for other shapes and for numbers that are not finite;
+        StageError for `betas` where the body is not known, and for hands and faces that do not move.
 
-            person = avatar.pose(torch.zeros(8, 69), transl=torch.randn(8, 3))
+            person = avatar.pose(torch.zeros(8, 69), transl=torch.randn(8, 3), face={"jawOpen": 0.4})
         """
         arrays = not isinstance(body_pose, Tensor)
-        if arrays and any(isinstance(part, Tensor) for part in (global_orient, transl, betas)):
+        if arrays and any(isinstance(part, Tensor) for part in (global_orient, transl, betas, hands, face)):
             raise ValueError("of a pose in tensors body_pose is a tensor, too: give torch.zeros(69)")
         given = {"body_pose": (body_pose, 69), "global_orient": (global_orient, 3), "transl": (transl, 3)}
+        if hands is not None:
+            self._has("fingers", self.record.fingers)
+            given["hands"] = (hands, 90)
+        if face is not None:
+            self._has("face that moves", self.record.face)
+            given["face"] = (face_vector(face) if isinstance(face, Mapping) else face, len(FACE_NAMES))
         parts = {name: self._tensor(name, *part) for name, part in given.items()}
         counts = {name: len(part) for name, part in parts.items() if part.ndim == 2}
         if len(set(counts.values())) > 1:
             raise ValueError(f"the poses are not equally many: {counts}")
         count = next(iter(counts.values()), 1)
-        pose, orient, place = (part.expand(count, -1) for part in parts.values())
+        parts = {name: part.expand(count, -1) for name, part in parts.items()}
         shape = self._betas if betas is None else self._tensor("betas", betas, 10)
-        baked = self.baked if betas is None else in_shape(self.baked, self._shapes, shape - self._betas)
-        return Person(PosedAvatar(baked, orient, pose, place), self.body, shape, bool(counts), arrays)
+        baked = self.baked if hands is None else self._gloved
+        baked = baked if betas is None else in_shape(baked, self._shapes, shape - self._betas)
+        moved = {"hands": parts["hands"].unflatten(1, (2, 15, 3))} if hands is not None else {}
+        moved |= {"face": parts["face"]} if face is not None else {}
+        posed = PosedAvatar(baked, parts["global_orient"], parts["body_pose"], parts["transl"], **moved)
+        return Person(posed, self.body, shape, bool(counts), arrays)
+
+    def _has(self, what: str, part: object) -> None:
+        if part is None:
+            facts = ["files of before this version have none, nor has a person on an SMPL model's body"]
+            raise StageError(f"the avatar {self.name} has no {what}", "train it again, without --body-model", facts)
+
+    @cached_property
+    def _gloved(self) -> Baked:
+        return gloved(self.baked)
 
     @cached_property
     def _betas(self) -> Tensor:
@@ -172,6 +206,8 @@ class Avatar:
         part = torch.zeros(size) if value is None else torch.as_tensor(value)
         if name == "body_pose" and part.shape[-2:] == (23, 3):
             part = part.flatten(-2)
+        if name == "hands" and part.shape[-3:] == (2, 15, 3):
+            part = part.flatten(-3)
         few = (1,) if name == "betas" else (1, 2)
         if part.ndim not in few or part.shape[-1] != size or not part.isfinite().all():
             raise ValueError(f"{name} has the shape {tuple(part.shape)}, wanted are {size} finite numbers a pose")

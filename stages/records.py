@@ -22,9 +22,9 @@ JOINT_NAMES = tuple(
 class Cameras:
     """Pinhole cameras of one clip, all of one size.
 
-    `names` [C] str are frame names without suffix; `viewmats` [C,4,4] float64 are camera_from_world with OpenCV axes
-    (x right, y down, z forward), in the units of the file they came from (SfM units in sfm/cameras.npz);
-    `Ks` [C,3,3] float64 in px, the centre of the first pixel at (0.5, 0.5).
+    `names` [C] str are frame names without suffix; `viewmats` [C,4,4] float64 are camera_from_world with OpenCV axes (x right, y
+    down, z forward), in the units of the file they came from (SfM units in sfm/cameras.npz); `Ks` [C,3,3] float64 in px, the
+    centre of the first pixel at (0.5, 0.5).
     """
 
     names: tuple[str, ...]
@@ -60,9 +60,9 @@ class SeenLandmarks:
 class BodyPoses:
     """SMPL parameters of F frames: X_world = SMPL(global_orient, body_pose, betas) + transl, in metres.
 
-    `names` are frame names; `betas` [10]; `global_orient` [F,3] and `body_pose` [F,69] rotation vectors in radians;
-    `transl` [F,3] m; `confidence` [F] from 0 (no evidence, do not train on it) to 1. The world has the axes of the SfM
-    frame; `world_from_sfm` is its metres per SfM unit.
+    `names` are frame names; `betas` [10]; `global_orient` [F,3] and `body_pose` [F,69] rotation vectors in radians; `transl`
+    [F,3] m; `confidence` [F] from 0 (no evidence, do not train on it) to 1. The world has the axes of the SfM frame;
+    `world_from_sfm` is its metres per SfM unit.
     """
 
     names: tuple[str, ...]
@@ -81,9 +81,9 @@ class BodyPoses:
 class BodyModel:
     """SMPL-format body of V vertices: metres, y up, facing +z, T-pose, its left hand at +x; float32.
 
-    `v_template` [V,3]; `faces` [T,3] int32; `shapedirs` [V,3,10] m per unit of beta; `posedirs` [V,3,207] m per entry
-    of (R - I), zero where the body has none; `J_regressor` [24,V]; `lbs_weights` [V,24], rows sum to 1; `parents` [24],
-    the root's is -1. `keypoint_regressor` [K,V] with `keypoint_names`, where the file has them.
+    `v_template` [V,3]; `faces` [T,3] int32; `shapedirs` [V,3,10] m per unit of beta; `posedirs` [V,3,207] m per entry of (R - I),
+    zero where the body has none; `J_regressor` [24,V]; `lbs_weights` [V,24], rows sum to 1; `parents` [24], the root's is -1.
+    `keypoint_regressor` [K,V] with `keypoint_names`, where the file has them.
     """
 
     v_template: np.ndarray
@@ -99,10 +99,8 @@ class BodyModel:
 
     def sized(self, factor: float) -> BodyModel:
         """The same body `factor` times as large."""
-        size = np.float32(factor)
-        return replace(
-            self, v_template=self.v_template * size, shapedirs=self.shapedirs * size, posedirs=self.posedirs * size
-        )
+        parts = {name: getattr(self, name) * np.float32(factor) for name in ("v_template", "shapedirs", "posedirs")}
+        return replace(self, **parts)
 
     def landmark_regressor(self) -> tuple[tuple[str, ...], np.ndarray]:
         """Names and matrix [K,V]: landmarks = matrix @ vertices, on posed vertices too.
@@ -154,8 +152,8 @@ class Ground:
 
     `point` [3] m lies on it, below where they stood in the middle of the clip; `up` [3] is its normal and `ahead` [3] the way
     they looked there, both of length 1 and square to each other. `metres` per SfM unit. `height_error` m at `point` and
-    `tilt_error` rad are one standard deviation; `points`: how many parts of the scene lie in it, 0 where the bodies alone
-    tell it; `how` it was found, in words.
+    `tilt_error` rad are one standard deviation; `points`: how many parts of the scene lie in it, 0 where the bodies alone tell
+    it; `how` it was found, in words.
     """
 
     point: np.ndarray
@@ -200,10 +198,10 @@ class Scene:
 class Avatar(Scene):
     """N Gaussians in the canonical da-pose frame, metres, and all that posing them needs.
 
-    lbs_weights[N,24+K] (rows sum to 1), joints[24,3] rest joints at `betas`, parents[24] (root -1), betas[10],
-    canonical_pose[69] axis-angle of the pose in which the Gaussians stand; K: the bones of `clothes`, 0 with None.
-    `casters` cast the shadow: middles [24,3] m and covariances [24,3,3] m^2 of the body's parts at rest; None in files of
-    before 0.3.0 and of other programs. `fingers` and `face` are None where the body has none.
+    lbs_weights[N,24+K] (rows sum to 1), joints[24,3] rest joints at `betas`, parents[24] (root -1), betas[10], canonical_pose[69]
+    axis-angle of the pose in which the Gaussians stand; K: the bones of `clothes`, 0 with None. `casters` cast the shadow:
+    middles [24,3] m and covariances [24,3,3] m^2 of the body's parts at rest; None in files of before 0.3.0 and of other
+    programs. `fingers` and `face` are None where the body has none.
     """
 
     lbs_weights: np.ndarray
@@ -240,12 +238,11 @@ class Slopes:
 class Rig(Scene):
     """An avatar as engines skin it: N Gaussians in the T-pose, metres, y up, facing +z, four bones each, or eight.
 
-    A pose moves a Gaussian by the sum of weight x transform of its bones; at rest all transforms are the identity, and
-    bone k turns about joints[k]. joints[24,3] m, named by JOINT_NAMES; parents[24] (root -1); bones[N,4] uint8,
-    the heaviest first; weights[N,4] uint8, a row adds up to 255; kept[N]: the share of all its weights that the four
-    have; bones8[N,8] and words8[N,8] uint16, rows adding up to 65535, for who skins with eight; facing[N,3] unit, the
-    direction in which each is lit; betas[10]. From 24 on bones are those of `clothes`, if any, as an Avatar's; of what is
-    cloth there are `slopes`.
+    A pose moves a Gaussian by the sum of weight x transform of its bones; at rest all transforms are the identity, and bone k
+    turns about joints[k]. joints[24,3] m, named by JOINT_NAMES; parents[24] (root -1); bones[N,4] uint8, the heaviest first;
+    weights[N,4] uint8, a row adds up to 255; kept[N]: the share of all its weights that the four have; bones8[N,8] and
+    words8[N,8] uint16, rows adding up to 65535, for who skins with eight; facing[N,3] unit, the direction in which each is lit;
+    betas[10]. From 24 on bones are those of `clothes`, if any, as an Avatar's; of what is cloth there are `slopes`.
     """
 
     joints: np.ndarray
@@ -317,11 +314,11 @@ class Take:
 class Effects:
     """Effects as learned from a clip; None if off.
 
-    Shadows: `light` [3], the direction towards the light in the world, of length 1; `darkness`, the share of all light that
-    comes from there; `softness` of edges in m; `density`, the optical depth through a limb, and `size`, the share of its
-    covariance that casts. Of the time between two frames `shutter` is the share in which the shutter is open, `readout` that
-    in which the rows are read, negative from below. `shading` [8,3]: the log of the light on the person, a colour each, in
-    spherical harmonics of degree 1 and 2 of the world's directions.
+    Shadows: `light` [3], the direction towards the light in the world, of length 1; `darkness`, the share of all light that comes
+    from there; `softness` of edges in m; `density`, the optical depth through a limb, and `size`, the share of its covariance
+    that casts. Of the time between two frames `shutter` is the share in which the shutter is open, `readout` that in which the
+    rows are read, negative from below. `shading` [8,3]: the log of the light on the person, a colour each, in spherical harmonics
+    of degree 1 and 2 of the world's directions.
     """
 
     light: np.ndarray | None = None

@@ -12,6 +12,7 @@ import numpy as np
 from stages.contract import StageError
 from stages.formats.arrays import checked, read_npz, write_npz
 from stages.formats.clothes import clothes_of
+from stages.formats.gestures import gesture_arrays, gestures_of
 from stages.records import JOINTS, Avatar, Scene
 
 WHOLE = ("parents", "version")
@@ -37,7 +38,8 @@ S = TypeVar("S", bound=Scene)
 def write_splats(path: Path, splats: Scene | Avatar) -> None:
     """Write a scene or an avatar as an .npz of float32 arrays (parents int32), without pickles.
 
-    `antialias`, `clothes` and `casters` get arrays only where set; `version` is that which first had clothes with bones, else 1.
+    `antialias`, `clothes`, `casters`, `fingers` and `face` get arrays only where set, see `gesture_arrays`; `version` is that which
+    first had clothes with bones, else 1.
     """
     arrays = {name: np.asarray(getattr(splats, name)) for name in _always(type(splats))}
     arrays["version"] = np.asarray(1)
@@ -47,7 +49,8 @@ def write_splats(path: Path, splats: Scene | Avatar) -> None:
         arrays |= splats.clothes.arrays() | {"version": np.asarray(VERSION)}
     if isinstance(splats, Avatar) and splats.casters is not None:
         arrays |= dict(zip(CASTERS, splats.casters, strict=True))
-    write_npz(path, {k: v.astype(np.int32 if k in WHOLE else np.float32) for k, v in arrays.items()})
+    arrays = {k: v.astype(np.int32 if k in WHOLE else np.float32) for k, v in arrays.items()}
+    write_npz(path, arrays | (gesture_arrays(splats) if isinstance(splats, Avatar) else {}))
 
 
 def read_scene(path: Path) -> Scene:
@@ -83,6 +86,7 @@ def gathered(kind: type[S], arrays: Mapping[str, np.ndarray], name: str, hint: s
     if kind is Avatar:
         more["clothes"] = clothes = clothes_of(arrays, name, hint)
         shapes["lbs_weights"] = (rows, JOINTS + (len(clothes) if clothes else 0))
+        more["fingers"], more["face"] = gestures_of(arrays, rows, name, hint)
         if all(key in arrays for key in CASTERS):
             parts = [checked(arrays[key], shape, key, name, hint) for key, shape in CASTERS.items()]
             more["casters"] = (parts[0], parts[1])

@@ -12,13 +12,15 @@ import torch
 from torch import Tensor
 
 from stages.avatar.body.rotations import quat_from_matrix
+from stages.avatar.drawing.attach import attach
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.model.person import bone_transforms
 from stages.avatar.model.scene import SceneModel
 from stages.avatar.splats.gaussians import finite_rows
 from stages.formats.clip import Clip
-from stages.records import Avatar, BodyPoses, Cameras, Clothes, Effects, Scene
+from stages.formats.hands_face import read_hands_face
+from stages.records import Avatar, BodyModel, BodyPoses, Cameras, Clothes, Effects, Scene
 from stages.training.finishing.bake import COUNTED, Finished, as_trained, finish
 from stages.training.finishing.hidden import fill_hidden
 from stages.training.finishing.settle import settle
@@ -162,7 +164,21 @@ def _person(fit: Fit, who: PersonLearner, clip: Clip, say: Finishing) -> tuple[A
         under = f"under {100 * counts['lining'] / len(body.surface()[0]):.0f} % of the surface"
         say.note(f"{counts['lining']:,} Gaussians put {under}, so that new poses tear no holes there")
     poses = replace(clip.body, global_orient=_array(orient), body_pose=_array(body_pose), transl=_array(transl))
-    return _avatar(kept, who, body, clip.body.betas, fit.options.antialias), poses, counts
+    avatar = _avatar(kept, who, body, clip.body.betas, fit.options.antialias)
+    return _with_gestures(avatar, clip.body_model, say), poses, counts
+
+
+def _with_gestures(avatar: Avatar, body: BodyModel, say: Finishing) -> Avatar:
+    """The avatar with the fingers and the face of its body, where that has any."""
+    rig = read_hands_face(body)
+    if rig is None:
+        say.note(f"no fingers and no face that moves: the body model {body.name} has none, the free body has")
+        return avatar
+    try:
+        return attach(avatar, body, rig)
+    except UNFINISHED as error:
+        say.warn(f"the person got no fingers and no face that moves: {error}")
+        return avatar
 
 
 def effect_facts(

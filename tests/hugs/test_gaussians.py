@@ -1,5 +1,7 @@
 """Gaussians and people from Python: arrays or tensors that mean what they say."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -7,9 +9,12 @@ import torch
 import hugs
 from stages.avatar.body.rotations import matrix_from_quat
 from stages.avatar.body.smpl import Body
+from stages.avatar.drawing.attach import attach
 from stages.avatar.drawing.avatar import load_avatar, pose_avatar
 from stages.formats.body_model import read_body_model
+from stages.formats.hands_face import read_hands_face
 from stages.formats.splats import write_splats
+from stages.gestures import FACE_NAMES
 from tests.made.clothes import dress, some_clothes
 from tests.made.tiny import make_avatar
 
@@ -19,7 +24,8 @@ POSE = RNG.normal(0, 0.3, 69)
 
 @pytest.fixture(scope="module")
 def record():
-    return dress(make_avatar(read_body_model(), every=40), some_clothes())
+    body = read_body_model()
+    return attach(dress(make_avatar(body, every=40), some_clothes()), body, read_hands_face(body))
 
 
 @pytest.fixture(scope="module")
@@ -110,11 +116,35 @@ def test_the_shape_of_an_unknown_body_is_refused_and_so_are_its_vertices(record,
         ({"betas": np.zeros((2, 10))}, "betas"),
         ({"body_pose": np.zeros((2, 69)), "transl": np.zeros((3, 3))}, r"'body_pose': 2, 'transl': 3"),
         ({"transl": torch.zeros(3)}, "body_pose is a tensor"),
+        ({"hands": np.zeros((30, 3))}, "hands"),
+        ({"face": {"smile": 1.0}}, "smile"),
     ],
 )
 def test_what_is_no_pose_is_refused_by_name(avatar, given, named):
     with pytest.raises(ValueError, match=named):
         avatar.pose(**given)
+
+
+def test_hands_and_a_face_are_arrays_or_names(avatar):
+    """A batch of hands is each by itself, a name is its row, and in tensors both have gradients."""
+    hands, face = RNG.normal(0, 0.3, (3, 2, 15, 3)), {"jawOpen": 0.8}
+    person = avatar.pose(POSE, hands=hands, face=face)
+    assert len(person) == 3
+    np.testing.assert_allclose(person.means[1], avatar.pose(POSE, hands=hands[1], face=face).means, atol=1e-6)
+    plain, row = avatar.pose(POSE).means, np.eye(52)[FACE_NAMES.index("jawOpen")]
+    np.testing.assert_allclose(avatar.pose(POSE, face=0.8 * row).means, avatar.pose(POSE, face=face).means, atol=1e-6)
+    for one in (avatar.pose(POSE, hands=hands[0]).means, avatar.pose(POSE, face=face).means):
+        assert 0.01 < np.abs(one - plain).max() < 0.2
+    taught = [torch.as_tensor(part).float().requires_grad_() for part in (hands[0], row)]
+    avatar.pose(torch.as_tensor(POSE), hands=taught[0], face=taught[1]).means.square().sum().backward()
+    assert all(part.grad is not None and part.grad.abs().max() > 0 for part in taught)
+
+
+def test_an_avatar_without_fingers_is_refused(avatar):
+    bare = replace(avatar, record=replace(avatar.record, fingers=None, face=None))
+    for given in ({"hands": np.zeros((2, 15, 3))}, {"face": {"jawOpen": 1}}):
+        with pytest.raises(hugs.StageError, match="has no"):
+            bare.pose(**given)
 
 
 def test_gaussians_of_your_own_keep_their_gradients():

@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from stages import records
+from stages.avatar.body.fingers import finger_bones
+from stages.avatar.body.joints import HANDS
 from stages.avatar.body.rotations import matrix_from_quat, matrix_from_rotvec
 from stages.avatar.body.skinning import FewBones, without_zeros
 from stages.avatar.body.smpl import rest_relative_transforms
@@ -24,11 +26,27 @@ from stages.avatar.model.poses import pose_together
 from stages.avatar.splats.gaussians import Splats
 
 
+class Gloves(NamedTuple):
+    """Fingers as `gestures.Fingers` holds them, as tensors."""
+
+    joints: Tensor
+    shape: Tensor
+    rows: Tensor
+    shares: Tensor
+
+
+class Mien(NamedTuple):
+    """A face as `gestures.Face` holds it, as tensors, with `moves` [52,3M]."""
+
+    rows: Tensor
+    moves: Tensor
+
+
 class Baked(NamedTuple):
     """A trained avatar without any network: its Gaussians at rest, its skeleton and its clothes.
 
     `few` are its weights without zeros, None where too many bones move a Gaussian; `stretch` is how cloth grows, if there is any.
-    `casters` are at rest, None where they are not known.
+    `casters` are at rest, None where they are not known; so are `gloves` and `face`. Only `gloved` has weights for finger bones.
     """
 
     resting: Resting
@@ -39,6 +57,8 @@ class Baked(NamedTuple):
     few: FewBones | None = None
     stretch: Stretch | None = None
     casters: Casters | None = None
+    gloves: Gloves | None = None
+    face: Mien | None = None
 
 
 def load_avatar(avatar: records.Avatar, device: str | torch.device = "cpu") -> Baked:
@@ -57,6 +77,7 @@ def load_avatar(avatar: records.Avatar, device: str | torch.device = "cpu") -> B
     bones = bone_transforms(joints, parents, torch.zeros(3), to(avatar.canonical_pose))
     clothing = None if avatar.clothes is None else Clothing.of(avatar.clothes, avatar.joints)
     resting = rest(person, bones if clothing is None else clothing.hang(bones))
+    hands, face = avatar.fingers, avatar.face
     few, cloth = without_zeros(weights), cloth_of(resting.means, weights, len(parents))
     return Baked(
         resting=Resting(*there(resting)),
@@ -67,7 +88,30 @@ def load_avatar(avatar: records.Avatar, device: str | torch.device = "cpu") -> B
         few=few and FewBones(*there(few)),
         stretch=cloth and Stretch(*there(stretch_of(cloth, resting.means, resting.axes))),
         casters=avatar.casters and Casters(*there(map(to, avatar.casters))),
+        gloves=None
+        if hands is None
+        else Gloves(*there([to(hands.joints), to(hands.shape), _rows(hands.rows), to(hands.shares)])),
+        face=None if face is None else Mien(*there([_rows(face.rows), to(face.moves).flatten(1)])),
     )
+
+
+def _rows(rows: np.ndarray) -> Tensor:
+    return torch.as_tensor(np.asarray(rows), dtype=torch.long)
+
+
+def gloved(avatar: Baked) -> Baked:
+    """The avatar with weights for its finger bones, the last of all; ValueError where it has none."""
+    if avatar.gloves is None:
+        raise ValueError("the avatar has no fingers")
+    own, shares = avatar.resting.weights, avatar.gloves.shares
+    weights = torch.cat([own, own.new_zeros(len(own), shares.shape[1])], 1)
+    hands = weights[avatar.gloves.rows]
+    hands[:, own.shape[1] :] = shares
+    hands[:, list(HANDS)] = (hands[:, list(HANDS)] - shares.unflatten(1, (2, -1)).sum(2)).clamp_min(
+        0
+    )  # a file rounds shares
+    weights[avatar.gloves.rows] = hands / hands.sum(1, keepdim=True)
+    return avatar._replace(resting=avatar.resting._replace(weights=weights), few=without_zeros(weights))
 
 
 def rested(avatar: Baked, resting: Resting) -> Baked:
@@ -84,13 +128,36 @@ def pose_avatar(avatar: Baked, global_orient: Tensor, body_pose: Tensor, transl:
     return posed_by(avatar, bones_of(avatar, global_orient, body_pose), transl)
 
 
-def posed_by(avatar: Baked, bones: Tensor, transl: Tensor) -> Splats:
-    """The avatar in the world where `bones`[J,4,4], see `bones_of`, and `transl`[3] m take it."""
-    return pose(avatar.resting, bones, transl, avatar.few, avatar.stretch)._replace(antialias=avatar.antialias)
+def posed_by(avatar: Baked, bones: Tensor, transl: Tensor, face: Tensor | None = None) -> Splats:
+    """The avatar in the world where `bones`[J,4,4], see `bones_of`, and `transl`[3] m take it, with coefficients `face` [52]."""
+    resting = avatar.resting if face is None else mimed(avatar, face)
+    return pose(resting, bones, transl, avatar.few, avatar.stretch)._replace(antialias=avatar.antialias)
 
 
-def bones_of(avatar: Baked, global_orient: Tensor, body_pose: Tensor) -> Tensor:
-    """All bones [...,J,4,4] from rest to poses [...,3] and [...,69], the skeleton's and those of the clothes, as they swing."""
+def mimed(avatar: Baked, face: Tensor) -> Resting:
+    """The Gaussians at rest with coefficients `face` [52]; ValueError where the avatar has no face."""
+    if avatar.face is None:
+        raise ValueError("the avatar has no face that moves")
+    means, rows = avatar.resting.means, avatar.face.rows
+    return avatar.resting._replace(means=means.index_add(0, rows, (face @ avatar.face.moves).unflatten(-1, (-1, 3))))
+
+
+def fingers_of(avatar: Baked, hands: Tensor, bones: Tensor) -> Tensor:
+    """Finger bones [...,30,4,4] from where they lie in the avatar to `hands` [...,2,15,3] rad; ValueError where it has none."""
+    if avatar.gloves is None:
+        raise ValueError("the avatar has no fingers")
+    joints, shape, *_ = avatar.gloves
+    still = torch.eye(4).to(joints).expand(len(avatar.parents), 4, 4)
+    return finger_bones(joints, hands, bones) @ torch.linalg.inv(finger_bones(joints, shape, still))
+
+
+def bones_of(avatar: Baked, global_orient: Tensor, body_pose: Tensor, hands: Tensor | None = None) -> Tensor:
+    """All bones [...,J,4,4] from rest to poses [...,3] and [...,69]: the skeleton's, those of the clothes, as they swing, and with
+    `hands` [...,2,15,3] rad, for which an avatar is `gloved`, the fingers'.
+    """
+    if hands is not None:
+        bones = bones_of(avatar, global_orient, body_pose)
+        return torch.cat([bones, fingers_of(avatar, hands, bones)], -3)
     clothing, joints = avatar.clothing, avatar.joints
     if clothing is None:
         return bone_transforms(joints, avatar.parents, global_orient, body_pose)
@@ -105,6 +172,7 @@ def bones_of(avatar: Baked, global_orient: Tensor, body_pose: Tensor) -> Tensor:
 class PosedAvatar:
     """A `Performer` of P poses, one a frame: global_orient[P,3], body_pose[P,69] axis-angle, transl[P,3] m, on the avatar's device.
 
+    Of a `gloved` avatar `hands` [P,2,15,3] rad, of one with a face coefficients `face` [P,52]; without them both stay as they lie.
     Frames in which the fit trusts its pose are `known` bool[P]; those that show the person are `shows`, None: all.
     """
 
@@ -114,17 +182,28 @@ class PosedAvatar:
     transl: Tensor
     known: np.ndarray | None = None
     shows: Callable[[int], bool] | None = None
+    hands: Tensor | None = None
+    face: Tensor | None = None
 
     @classmethod
-    def of(cls, avatar: Baked, *pose: ArrayLike) -> PosedAvatar:
-        """An avatar in the poses [P,3], [P,69] and [P,3], or in one, of [3], [69] and [3]."""
+    def of(
+        cls, avatar: Baked, *pose: ArrayLike, hands: np.ndarray | None = None, face: np.ndarray | None = None
+    ) -> PosedAvatar:
+        """An avatar in the poses [P,3], [P,69] and [P,3], or in one, of [3], [69] and [3]; with `hands` [P,2,15,3] and `face`
+        [P,52], if it has fingers and a face.
+        """
         parts = (torch.as_tensor(np.asarray(part)).to(avatar.joints) for part in pose)
-        return cls(avatar, *(torch.atleast_2d(part) for part in parts))
+        made = cls(avatar, *(torch.atleast_2d(part) for part in parts))
+        if hands is not None and avatar.gloves is not None:
+            made = replace(made, avatar=gloved(avatar), hands=torch.as_tensor(hands).to(avatar.joints))
+        if face is not None and avatar.face is not None:
+            made = replace(made, face=torch.as_tensor(face).to(avatar.joints))
+        return made
 
     @cached_property
     def bones(self) -> Tensor:
         """All bones [P,J,4,4] from rest to each pose."""
-        return bones_of(self.avatar, self.global_orient, self.body_pose)
+        return bones_of(self.avatar, self.global_orient, self.body_pose, self.hands)
 
     @property
     def joints(self) -> Tensor:
@@ -135,9 +214,9 @@ class PosedAvatar:
     def row(self, pose: int) -> PosedAvatar:
         """The person in that pose alone."""
         some = slice(pose, pose + 1)
-        return replace(
-            self, global_orient=self.global_orient[some], body_pose=self.body_pose[some], transl=self.transl[some]
-        )
+        names = ("global_orient", "body_pose", "transl", "hands", "face")
+        rows = {name: part[some] for name in names if (part := getattr(self, name)) is not None}
+        return replace(self, **rows)
 
     def shown(self, frame: int) -> bool:
         """Whether the frame shows the person."""
@@ -145,7 +224,9 @@ class PosedAvatar:
 
     def splats(self, frame: int) -> Splats:
         """The person's Gaussians in the world, in even light."""
-        return posed_by(self.avatar, self.bones[frame], self.transl[frame])
+        return posed_by(
+            self.avatar, self.bones[frame], self.transl[frame], None if self.face is None else self.face[frame]
+        )
 
     def all_splats(self) -> list[Splats]:
         """`splats` of every pose; several, without gradients and in float32 on a CPU, in one pass over the Gaussians."""
@@ -153,7 +234,13 @@ class PosedAvatar:
         wanted = torch.is_grad_enabled() and any(
             part.requires_grad for part in (self.bones, self.transl, *avatar.resting)
         )
-        if len(self.transl) == 1 or wanted or like.dtype != torch.float32 or like.device.type != "cpu":
+        if (
+            len(self.transl) == 1
+            or wanted
+            or self.face is not None
+            or like.dtype != torch.float32
+            or like.device.type != "cpu"
+        ):
             return [self.splats(i) for i in range(len(self.transl))]
         posed = pose_together(avatar.resting, self.bones, self.transl, avatar.stretch)
         return [one._replace(antialias=avatar.antialias) for one in posed]

@@ -17,12 +17,13 @@ TOUCHING = 1e-3  # m: nearer than that, vertices count alike
 
 class Shapes(NamedTuple):
     """How an avatar changes with the shape of its body, in m per unit of beta: `means` [N,3,10] of its Gaussians, `joints`
-    [24,3,10] and `centres` [K,3,10] of the bones of its clothes, at rest.
+    [24,3,10], `centres` [K,3,10] of the bones of its clothes and `fingers` [30,3,10], at rest.
     """
 
     means: Tensor
     joints: Tensor
     centres: Tensor
+    fingers: Tensor
 
 
 @torch.no_grad()
@@ -31,22 +32,25 @@ def shapes_of(avatar: Baked, body: Body, betas: Tensor) -> Shapes:
     the vertices nearest to it.
     """
     skin, _ = body.rest(betas)
-    centres = avatar.resting.means[:0] if avatar.clothing is None else avatar.clothing.centres
+    none = avatar.resting.means[:0]
+    centres = none if avatar.clothing is None else avatar.clothing.centres
+    fingers = none if avatar.gloves is None else avatar.gloves.joints
 
     def with_skin(points: Tensor) -> Tensor:
         away, near = nearest(skin, points, SKIN)
         share = away.to(points).clamp_min(TOUCHING) ** -2
         return torch.einsum("nk,nkcb->ncb", share / share.sum(1, keepdim=True), body.shapedirs[near])
 
-    return Shapes(with_skin(avatar.resting.means), body.joint_dirs, with_skin(centres))
+    return Shapes(with_skin(avatar.resting.means), body.joint_dirs, with_skin(centres), with_skin(fingers))
 
 
 def in_shape(avatar: Baked, shapes: Shapes, change: Tensor) -> Baked:
     """The avatar at betas that differ by `change` [10] from its own; differentiable in it. Axes of Gaussians stay as they are."""
-    means, joints, centres = (part @ change for part in shapes)
-    clothing, casters = avatar.clothing, avatar.casters
+    means, joints, centres, fingers = (part @ change for part in shapes)
+    clothing, casters, gloves = avatar.clothing, avatar.casters, avatar.gloves
     return rested(avatar, avatar.resting._replace(means=avatar.resting.means + means))._replace(
         joints=avatar.joints + joints,
         clothing=clothing and clothing.moved(avatar.joints + joints, clothing.centres + centres),
+        gloves=gloves and gloves._replace(joints=gloves.joints + fingers),
         casters=casters and casters._replace(middles=casters.middles + joints),
     )

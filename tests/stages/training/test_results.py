@@ -10,8 +10,9 @@ import pytest
 import torch
 
 from stages.avatar.model.person import Canonical, rest
+from stages.formats.body_model import read_body_model
 from stages.formats.splats import impossible
-from stages.records import BodyPoses
+from stages.records import BodyModel, BodyPoses
 from stages.training import results
 from stages.training.finishing import settle
 from tests.made.said import holds
@@ -19,6 +20,7 @@ from tests.made.training import FRAMES, TRAIN, everything, fit_of, make_clip
 
 clip = pytest.fixture(scope="module")(make_clip)
 NAN, INF = float("nan"), float("inf")
+FREE = read_body_model()
 PEOPLE = {  # how what was trained comes out, how many of 162 rows are kept, and what is said
     "as it should": (lambda p: p, None, ""),
     **{f"{n} Gaussians": (lambda p, n=n: Canonical(*(part[:n] for part in p)), n, "of") for n in (1, 2, 5, 9, 24, 30)},
@@ -67,12 +69,13 @@ class Fitted:
 
     names: tuple[str, ...]
     body: BodyPoses
+    body_model: BodyModel
 
 
 def fitted(person) -> Fitted:
     names = tuple(f"{i:06d}" for i in range(FRAMES))
     angles = person.global_orient.numpy(), person.body_pose.numpy(), person.transl.numpy()
-    return Fitted(names, BodyPoses(names, np.zeros(10), *angles, person.confidence.numpy(), 1.0))
+    return Fitted(names, BodyPoses(names, np.zeros(10), *angles, person.confidence.numpy(), 1.0), FREE)
 
 
 def finished(fit, clip):
@@ -93,6 +96,7 @@ def test_whoever_was_trained_is_kept_and_what_could_not_be_done_is_said(how, cli
     avatar, poses, counts, warnings = finished(fit, clip)
     assert all(np.isfinite(part).all() for part in vars(avatar).values() if isinstance(part, np.ndarray))
     assert not impossible(avatar)
+    assert avatar.fingers is not None and avatar.face is not None
     assert np.isfinite(poses.body_pose).all()
     if left is None:
         assert not warnings and counts["lining"] + counts["strays"] > 0

@@ -1,0 +1,82 @@
+"""Gives a finished avatar the fingers and the face of its body."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stages import gestures, records
+from stages.avatar.body.face import face_at
+from stages.avatar.body.fingers import finger_bones, finger_joints
+from stages.avatar.body.joints import HANDS, HEAD
+from stages.avatar.body.skinning import knn_weights
+from stages.avatar.body.smpl import Body
+from stages.avatar.drawing.avatar import load_avatar
+from stages.avatar.splats.neighbours import nearest
+
+HELD = 0.02  # of a Gaussian's weights: less than that on a hand's joints is none of a finger's
+NEAR = 6  # points of the face whose mean move, by the inverse square of their distance, a Gaussian follows
+TOUCHING = 1e-3  # m: nearer than that, points count alike
+FACE = (0.015, 0.035)  # m from the face between which Gaussians move less and less: hair does not smile
+STILL = 5e-4  # m: a Gaussian that no shape moves further is left out
+
+
+@torch.no_grad()
+def attach(
+    avatar: records.Avatar, body: records.BodyModel, rig: gestures.HandsFace, hands: np.ndarray | None = None
+) -> records.Avatar:
+    """The avatar with fingers and face, learned on a free `body` whose `rig` is of its size.
+
+    `hands` [2,15,3] rad is the pose in which fingers were in the clip; None: that of the free body at rest.
+    """
+    model, betas = Body(body), torch.as_tensor(avatar.betas).float()
+    vertices, _ = model.rest(betas)
+    shape = torch.zeros(2, 15, 3) if hands is None else torch.as_tensor(hands).float()
+    resting = load_avatar(avatar).resting
+    joints, _ = finger_joints(rig, vertices)
+    fingers = _fingers(rig, vertices, model.lbs_weights, joints, shape, resting.means, resting.weights)
+    face = _face(rig, face_at(rig, model.v_template, model.shapedirs, betas), resting.means, resting.weights)
+    return replace(avatar, fingers=fingers, face=face)
+
+
+def _fingers(
+    rig: gestures.HandsFace,
+    vertices: Tensor,
+    limbs: Tensor,
+    joints: Tensor,
+    shape: Tensor,
+    means: Tensor,
+    weights: Tensor,
+) -> gestures.Fingers:
+    """Each Gaussian of a hand shares its weight there as the vertices around do, where the hand is in `shape`."""
+    own = torch.as_tensor(rig.finger_weights)
+    skin = (limbs[:, list(HANDS)].sum(1) > 0).nonzero()[:, 0]
+    own, limbs, vertices = own[skin], limbs[skin], vertices[skin]
+    moved = finger_bones(joints, shape, torch.eye(4).expand(24, 4, 4))[:, :3].flatten(1)
+    blend = (own @ moved).unflatten(1, (3, 4))
+    left = 1 - own.sum(1, keepdim=True)
+    posed = left * vertices + (blend[..., :3] @ vertices[..., None])[..., 0] + blend[..., 3]
+    rows = (weights[:, list(HANDS)].sum(1) > HELD).nonzero()[:, 0]
+    near = knn_weights(means[rows], posed, torch.cat([limbs, own], 1), NEAR)
+    hand, found = near[:, list(HANDS)], near[:, limbs.shape[1] :].unflatten(1, (2, 15))
+    there = weights[rows][:, list(HANDS)]
+    shares = (found / hand.clamp_min(1e-6)[..., None] * there[..., None]).flatten(1)
+    kept = shares.amax(1) > 0
+    return gestures.Fingers(*(part.numpy() for part in (joints, shape, rows[kept].int(), shares[kept])))
+
+
+def _face(rig: gestures.HandsFace, points: Tensor, means: Tensor, weights: Tensor) -> gestures.Face:
+    """Each Gaussian of the head moves as the points of the face around it, as far as the head's bone carries it."""
+    away, near = nearest(points, means, NEAR)
+    rows = ((away[:, 0] < FACE[1]) & (weights[:, HEAD] > 0)).nonzero()[:, 0]
+    away, near = away[rows].to(points), near[rows]
+    share = away.clamp_min(TOUCHING) ** -2
+    part = ((FACE[1] - away[:, 0]) / (FACE[1] - FACE[0])).clamp(0, 1)
+    share *= (part / share.sum(1))[:, None]
+    shapes = torch.as_tensor(rig.face_shapes)
+    moves = torch.einsum("nk,snkc->snc", share, shapes[:, near])
+    kept = moves.norm(dim=2).amax(0) > STILL
+    return gestures.Face(rows[kept].int().numpy(), moves[:, kept].half().numpy())
