@@ -201,7 +201,7 @@ class Avatar(Scene):
     lbs_weights[N,24+K] (rows sum to 1), joints[24,3] rest joints at `betas`, parents[24] (root -1), betas[10],
     canonical_pose[69] axis-angle of the pose in which the Gaussians stand; K: the bones of `clothes`, 0 with None.
     `casters` cast the shadow: middles [24,3] m and covariances [24,3,3] m^2 of the body's parts at rest; None in files of
-    before 0.3.0 and of other programs.
+    before 0.3.0 and of other programs. `normals` [N,3], of the surface on which they hang, is None there, too.
     """
 
     lbs_weights: np.ndarray
@@ -211,6 +211,7 @@ class Avatar(Scene):
     canonical_pose: np.ndarray
     clothes: Clothes | None = field(default=None, kw_only=True)
     casters: tuple[np.ndarray, np.ndarray] | None = field(default=None, kw_only=True)
+    normals: np.ndarray | None = field(default=None, kw_only=True)
 
     @property
     def limb_weights(self) -> np.ndarray:
