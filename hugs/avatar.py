@@ -29,7 +29,7 @@ from stages.avatar.motion.placing import Soles
 from stages.avatar.rasterize import Camera
 from stages.contract import StageError
 from stages.filming.cast import body_of
-from stages.filming.clip_cast import with_casters
+from stages.filming.clip_cast import completed
 from stages.formats.clip import load_clip
 from stages.formats.exchange.read import read_any_avatar
 from stages.formats.facts import Listing, read_facts
@@ -253,6 +253,6 @@ def load(path: str | PathLike[str], who: int = 1, device: str = "cpu") -> Avatar
 
 
 def _avatar(record: records.Avatar, model: records.BodyModel | None, device: str, **clip: Any) -> Avatar:
-    baked = load_avatar(with_casters(record, model), device)
+    baked = load_avatar(completed(record, model), device)
     body = None if model is None else Body(model).to(device)
     return Avatar(record, baked, body, model, **clip)

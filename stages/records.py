@@ -200,8 +200,8 @@ class Avatar(Scene):
 
     lbs_weights[N,24+K] (rows sum to 1), joints[24,3] rest joints at `betas`, parents[24] (root -1), betas[10], canonical_pose[69]
     axis-angle of the pose in which the Gaussians stand; K: the bones of `clothes`, 0 with None. `casters` cast the shadow:
-    middles [24,3] m and covariances [24,3,3] m^2 of the body's parts at rest; None in files of before 0.3.0 and of other
-    programs. `fingers` and `face` are None where the body has none.
+    middles [24,3] m and covariances [24,3,3] m^2 of the body's parts at rest; `normals` [N,3] are those of the surface on which
+    Gaussians hang; both None in files of before 0.3.0 and of other programs. No `fingers` and `face` where the body has none.
     """
 
     lbs_weights: np.ndarray
@@ -213,6 +213,7 @@ class Avatar(Scene):
     casters: tuple[np.ndarray, np.ndarray] | None = field(default=None, kw_only=True)
     fingers: Fingers | None = field(default=None, kw_only=True)
     face: Face | None = field(default=None, kw_only=True)
+    normals: np.ndarray | None = field(default=None, kw_only=True)
 
     @property
     def limb_weights(self) -> np.ndarray:

@@ -58,7 +58,7 @@ def run(
     from stages.avatar.drawing.turntable import around, standing
     from stages.avatar.effects.frames import load_effects
     from stages.avatar.model.scene import load_scene
-    from stages.filming.clip_cast import with_casters
+    from stages.filming.clip_cast import completed
     from stages.filming.scenes import stood
     from stages.formats.body_model import read_body_model
     from stages.formats.exchange.read import lacks, read_given
@@ -71,7 +71,7 @@ def run(
     if room is not None and scene is not None:
         room = stood(room, params.scene_axes, None if smpl is None else read_ground(smpl / "ground.json"))
     model = None if smpl is None else read_body_model(model_of(smpl, params.who))
-    baked = load_avatar(with_casters(given, model), job.device)
+    baked = load_avatar(completed(given, model), job.device)
     for fact in lacks(avatar, scene, room is not None and room.antialias):
         job.note(fact)
     for fact in room.said if room else ():

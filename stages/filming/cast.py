@@ -22,7 +22,7 @@ from stages.avatar.motion.takes import SECONDS
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.sh import with_gain
 from stages.contract import StageError
-from stages.filming.clip_cast import with_casters
+from stages.filming.clip_cast import completed
 from stages.filming.motions import Manner, check_time, from_clip, from_file
 from stages.filming.spec import Person
 from stages.formats.body_model import read_body_model
@@ -126,7 +126,7 @@ def cast(person: Person, name: str, ground: records.Ground, fps: float, device: 
     own = None if run is None else trained_of(run / "train", person.who)
     record = read_avatar(own / "avatar.npz") if own else read_any_avatar(person.avatar)
     model = body_of(run, record, person.who)
-    record = with_casters(record, model)
+    record = completed(record, model)
     rig, baked = rig_of(record), load_avatar(record, device)
     soles = Soles.of_rig(rig)
     manner = Manner(fps, person.speed, person.motion_fps, person.up)

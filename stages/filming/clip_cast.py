@@ -5,21 +5,29 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import torch
+from torch.nn.functional import normalize
 
-from stages.avatar.body.smpl import Body
+from stages.avatar.body.skinning import skin
+from stages.avatar.body.smpl import Body, vertex_normals
 from stages.avatar.drawing.avatar import PosedAvatar, load_avatar
 from stages.avatar.drawing.cast import Cast
 from stages.avatar.drawing.rig import rig_of
 from stages.avatar.effects.frames import load_effects
 from stages.avatar.effects.shadow import casters
 from stages.avatar.effects.speeds import Speeds
+from stages.avatar.model.person import bone_transforms
 from stages.avatar.model.scene import load_scene
 from stages.avatar.motion.placing import SOLID
+from stages.avatar.splats.neighbours import shares_near
+from stages.formats.body_model import read_body_model
 from stages.formats.clip import Clip, load_people
 from stages.formats.splats import read_avatar
 from stages.formats.trained import read_trained, trained_of
 from stages.records import Avatar, BodyModel, Ground, Rig
+
+AROUND = 6  # vertices of the skin that say where a Gaussian faces
 
 
 def load_cast(sfm: Path, smpl: Path, train: Path, device: str) -> tuple[list[Clip], Cast[PosedAvatar]]:
@@ -37,15 +45,36 @@ def load_cast(sfm: Path, smpl: Path, train: Path, device: str) -> tuple[list[Cli
 
 def posed_as(clip: Clip, avatar: Avatar, device: str) -> PosedAvatar:
     """An avatar in the poses of the clip's `person`, shown where their mask is."""
-    body, baked = clip.body, load_avatar(with_casters(avatar, clip.body_model), device)
+    body, baked = clip.body, load_avatar(completed(avatar, clip.body_model), device)
     posed = PosedAvatar.of(baked, body.global_orient, body.body_pose, body.transl)
     return replace(posed, known=body.confidence > 0, shows=clip.shows_person)
 
 
-def with_casters(avatar: Avatar, model: BodyModel | None) -> Avatar:
-    """An avatar that casts a shadow: as its file holds, else as its body, or, where that is not known, its Gaussians."""
-    if avatar.casters is not None:
-        return avatar
+def completed(avatar: Avatar, model: BodyModel | None) -> Avatar:
+    """An avatar that casts a shadow and has normals: as its file holds, else as its body, or, where that is not known, its
+    Gaussians cast the shadow, and the free body has the normals.
+    """
+    whole = avatar if avatar.casters is not None else _with_casters(avatar, model)
+    return whole if avatar.normals is not None else replace(whole, normals=_normals(avatar, model))
+
+
+def _normals(avatar: Avatar, model: BodyModel | None) -> np.ndarray:
+    """Normals [N,3] of the skin nearest to the Gaussians of an avatar, in its canonical pose."""
+    known = model or read_body_model()
+    body, betas, faces = Body(known), torch.as_tensor(avatar.betas).float(), torch.as_tensor(known.faces).long()
+    vertices, joints = body.rest(betas if model else torch.zeros_like(betas))
+    theirs = torch.as_tensor(avatar.joints).float()
+    size = (theirs - theirs[0]).norm() / (joints - joints[0]).norm()
+    vertices = theirs[0] + size * (vertices - joints[0])
+    pose = torch.as_tensor(avatar.canonical_pose).float()
+    bones = bone_transforms(theirs, body.parents, torch.zeros(3), pose)
+    posed = skin(vertices, body.lbs_weights, bones)[0]
+    near, shares = shares_near(posed, torch.as_tensor(avatar.means).float(), AROUND)
+    normals = (shares[..., None] * vertex_normals(posed, faces)[near]).sum(1)
+    return normalize(normals, dim=1).numpy()
+
+
+def _with_casters(avatar: Avatar, model: BodyModel | None) -> Avatar:
     if model is not None:
         body = Body(model)
         vertices, _ = body.rest(torch.as_tensor(avatar.betas).float())

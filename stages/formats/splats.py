@@ -38,8 +38,8 @@ S = TypeVar("S", bound=Scene)
 def write_splats(path: Path, splats: Scene | Avatar) -> None:
     """Write a scene or an avatar as an .npz of float32 arrays (parents int32), without pickles.
 
-    `antialias`, `clothes`, `casters`, `fingers` and `face` get arrays only where set, see `gesture_arrays`; `version` is that which
-    first had clothes with bones, else 1.
+    `antialias`, `clothes`, `casters`, `normals`, `fingers` and `face` get arrays only where set, see `gesture_arrays`; `version` is
+    that which first had clothes with bones, else 1.
     """
     arrays = {name: np.asarray(getattr(splats, name)) for name in _always(type(splats))}
     arrays["version"] = np.asarray(1)
@@ -49,6 +49,8 @@ def write_splats(path: Path, splats: Scene | Avatar) -> None:
         arrays |= splats.clothes.arrays() | {"version": np.asarray(VERSION)}
     if isinstance(splats, Avatar) and splats.casters is not None:
         arrays |= dict(zip(CASTERS, splats.casters, strict=True))
+    if isinstance(splats, Avatar) and splats.normals is not None:
+        arrays["normals"] = np.asarray(splats.normals)
     arrays = {k: v.astype(np.int32 if k in WHOLE else np.float32) for k, v in arrays.items()}
     write_npz(path, arrays | (gesture_arrays(splats) if isinstance(splats, Avatar) else {}))
 
@@ -90,6 +92,8 @@ def gathered(kind: type[S], arrays: Mapping[str, np.ndarray], name: str, hint: s
         if all(key in arrays for key in CASTERS):
             parts = [checked(arrays[key], shape, key, name, hint) for key, shape in CASTERS.items()]
             more["casters"] = (parts[0], parts[1])
+        if "normals" in arrays:
+            more["normals"] = checked(arrays["normals"], (rows, 3), "normals", name, hint)
     found = kind(**more | {key: checked(arrays[key], shapes[key], key, name, hint) for key in _always(kind)})
     if facts := impossible(found):
         raise StageError(f"{name} is damaged", hint, facts)

@@ -251,6 +251,7 @@ def _avatar(kept: Finished, who: PersonLearner, body: FittedBody, betas: np.ndar
         antialias=antialias,
         clothes=clothes,
         casters=(_array(middles), _array(covariances)),
+        normals=_array(person.normals),
     )
 
 

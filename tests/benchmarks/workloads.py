@@ -12,7 +12,7 @@ from torch import Tensor
 from stages.avatar.body.rotations import quat_from_matrix
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.gaussians import Splats, spacing
-from stages.filming.clip_cast import with_casters
+from stages.filming.clip_cast import completed
 from stages.formats.clip import Clip, load_clip
 from stages.formats.effects import read_effects
 from stages.formats.poses import read_poses
@@ -91,7 +91,7 @@ def finished(folder: Path, device: str = "cpu") -> tuple[Clip, Learned, dict[str
     body = read_poses(train / "body.npz")
     poses = dict(zip(body.names, zip(body.global_orient, body.body_pose, body.transl, strict=True), strict=True))
     clip = load_clip(folder / "sfm", folder / "smpl", train)
-    avatar = with_casters(read_avatar(train / "avatar.npz"), clip.body_model)
+    avatar = completed(read_avatar(train / "avatar.npz"), clip.body_model)
     return clip, load_learned(avatar, scene, read_effects(train / "effects.npz"), device), poses
 
 

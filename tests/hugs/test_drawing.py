@@ -10,7 +10,7 @@ import torch
 import hugs
 from stages.avatar.body.smpl import Body
 from stages.avatar.drawing.avatar import load_avatar
-from stages.filming.clip_cast import with_casters
+from stages.filming.clip_cast import completed
 from stages.formats.body_model import read_body_model
 from stages.formats.images import read_image
 from stages.records import Effects
@@ -32,7 +32,7 @@ def as_drawn(record, dtype=torch.float32):
         return type(part)(*map(to, part)) if isinstance(part, tuple) else part
 
     model = read_body_model()
-    return hugs.Avatar(record, to(load_avatar(with_casters(record, model))), Body(model, dtype), model)
+    return hugs.Avatar(record, to(load_avatar(completed(record, model))), Body(model, dtype), model)
 
 
 @pytest.fixture(scope="module")

@@ -64,6 +64,7 @@ def test_poses_together_are_each_by_itself_in_tensors(taught, view_dependent, av
         for alone in (avatar.pose(poses[row], transl=places[row]), person[row]):
             for name in ("means", "axes", "joints", "vertices"):
                 held((getattr(person, name)[row] - getattr(alone, name)).abs().max(), 3e-6, name)
+            held((person.sets[row].normals - alone.sets[0].normals).detach().abs().max(), 3e-6, "normals")
             ours, its = person.sets[row].rotations, alone.sets[0].rotations
             assert (ours is not None) == view_dependent and (ours is None or (ours - its).abs().max() < 3e-6)
             assert person.sets[row].means.requires_grad == taught

@@ -16,7 +16,7 @@ from stages.avatar.model.scene import load_scene
 from stages.avatar.rasterize import Camera, Layer, Rendering
 from stages.avatar.splats.compose import draw_together
 from stages.avatar.splats.gaussians import Splats
-from stages.filming.clip_cast import with_casters
+from stages.filming.clip_cast import completed
 from stages.formats.body_model import read_body_model
 
 Pose = tuple[np.ndarray, np.ndarray, np.ndarray]  # global_orient [3], body_pose [69] in rad, transl [3] in m
@@ -44,7 +44,7 @@ def load_learned(
     avatar: records.Avatar, scene: records.Scene | None, effects: records.Effects, device: str = "cpu"
 ) -> Learned:
     drawn = None if scene is None else load_scene(scene, device)
-    whole = with_casters(avatar, read_body_model()) if effects.light is not None else avatar
+    whole = completed(avatar, read_body_model()) if effects.light is not None else avatar
     return Learned(load_avatar(whole, device), drawn, load_effects(effects).to(device))
 
 

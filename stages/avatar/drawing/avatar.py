@@ -62,7 +62,10 @@ class Baked(NamedTuple):
 
 
 def load_avatar(avatar: records.Avatar, device: str | torch.device = "cpu") -> Baked:
-    """The avatar's tensors, float32 on `device`, its Gaussians taken back to the rest pose."""
+    """The avatar's tensors, float32 on `device`, its Gaussians taken back to the rest pose.
+
+    Without normals those of flat Gaussians stand in: their last axes.
+    """
 
     def to(array: np.ndarray) -> Tensor:
         return torch.as_tensor(array, dtype=torch.float32)
@@ -72,7 +75,8 @@ def load_avatar(avatar: records.Avatar, device: str | torch.device = "cpu") -> B
 
     sh = torch.cat([to(avatar.sh0)[:, None], to(avatar.shN)], 1)
     rotations, weights = matrix_from_quat(to(avatar.quats)), to(avatar.lbs_weights)
-    person = Canonical(to(avatar.means), rotations, to(avatar.scales), to(avatar.opacities), sh, weights)
+    normals = rotations[:, :, 2] if avatar.normals is None else to(avatar.normals)
+    person = Canonical(to(avatar.means), rotations, to(avatar.scales), to(avatar.opacities), sh, weights, normals)
     joints, parents = to(avatar.joints), [int(p) for p in avatar.parents]
     bones = bone_transforms(joints, parents, torch.zeros(3), to(avatar.canonical_pose))
     clothing = None if avatar.clothes is None else Clothing.of(avatar.clothes, avatar.joints)

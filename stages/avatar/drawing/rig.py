@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from torch.nn.functional import normalize
 
 from stages import records
 from stages.avatar.body.skinning import MOST, WORDS, heaviest
 from stages.avatar.body.stretch import cloth_of
 from stages.avatar.drawing.avatar import load_avatar
 from stages.avatar.splats.factor import factored
-from stages.avatar.splats.gaussians import Splats, facing
+from stages.avatar.splats.gaussians import Splats
 
 STEEP = 12  # bones, at most, whose slopes are kept: the others together have 0.03 % of a skirt's
 
@@ -36,7 +37,7 @@ def rig_of(avatar: records.Avatar) -> records.Rig:
         kept=kept,
         bones8=bones8,
         words8=words8,
-        facing=facing(at_rest.axes).cpu().numpy(),
+        facing=normalize(at_rest.normals, dim=1).cpu().numpy(),
         betas=np.asarray(avatar.betas, np.float32),
         clothes=avatar.clothes,
         slopes=_slopes(at_rest.means, at_rest.weights, len(avatar.joints)),

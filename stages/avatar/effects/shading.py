@@ -1,4 +1,4 @@
-"""Shading: the clip's light on the person, by the direction that each place of their surface faces."""
+"""Shading: the clip's light on the person, by the direction that their surface faces at each Gaussian."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import math
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import normalize
 
-from stages.avatar.splats.gaussians import Splats, facing
+from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.sh import sh_basis, spread_directions, with_gain
 
 DEGREE = 2  # of the light's log: nine tenths of what a matt surface shows (Ramamoorthi and Hanrahan 2001)
@@ -32,8 +33,13 @@ class Shading(nn.Module):
         return (self._exponent(towards) - torch.logsumexp(around, 0) + math.log(len(around))).exp()
 
     def forward(self, person: Splats) -> Splats:
-        """The person in this light; where a Gaussian faces gets no gradient."""
-        return person._replace(sh=with_gain(person.sh, self.light(facing(person.axes.detach()))))
+        """The person in this light; the normals get no gradient, ValueError without any.
+
+        Not where each Gaussian itself faces: its shortest axis is noise, by 42 degrees in the median, and so would be its light.
+        """
+        if person.normals is None:
+            raise ValueError("Gaussians without normals face nowhere")
+        return person._replace(sh=with_gain(person.sh, self.light(normalize(person.normals.detach(), dim=1))))
 
     def prior(self) -> Tensor:
         """HOLD x mean square of the bands."""

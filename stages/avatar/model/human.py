@@ -91,6 +91,11 @@ class HumanModel(nn.Module):
     def __len__(self) -> int:
         return len(self.xyz)
 
+    @property
+    def normals(self) -> Tensor:
+        """Unit normals [N,3] of skin and cloth where each Gaussian began, which those have that come of it."""
+        return self.rotations[:, :, 2]
+
     def rows(self) -> list[tuple[nn.Module, str]]:
         """The parameters with one row a Gaussian: the module that owns each, and its name there."""
         return [(self, "xyz"), *((self.residuals, name) for name in self.residuals())]
@@ -103,7 +108,8 @@ class HumanModel(nn.Module):
         """
         shared, outside_box, moved = self.shared()
         rotations, scales, opacities, sh, changed = self.look(*shared[2:])
-        return Canonical(shared.means, rotations, scales, opacities, sh, shared.weights), outside_box, moved + changed
+        person = Canonical(shared.means, rotations, scales, opacities, sh, shared.weights, self.normals)
+        return person, outside_box, moved + changed
 
     def shared(self) -> tuple[Shared, Tensor, Tensor]:
         """What the networks say of all Gaussians, and the two penalties of `forward`, the second of places alone."""
@@ -142,4 +148,5 @@ class HumanModel(nn.Module):
         """
         weights = torch.softmax(self.skin_logits / TEMPERATURE, 1)
         opacities = torch.sigmoid(self.logits)
-        return Canonical(self.homes, self.rotations, self.log_sizes.exp(), opacities, self.sh_starts[:, None], weights)
+        parts = self.homes, self.rotations, self.log_sizes.exp(), opacities, self.sh_starts[:, None], weights
+        return Canonical(*parts, self.normals)

@@ -15,7 +15,10 @@ from stages.avatar.splats.gaussians import Splats
 
 
 class Canonical(NamedTuple):
-    """The person at the da-pose: means[N,3] m, rotations[N,3,3], scales[N,3] m, opacities[N], sh[N,K,3], weights[N,J]."""
+    """The person at the da-pose: means[N,3] m, rotations[N,3,3], scales[N,3] m, opacities[N], sh[N,K,3], weights[N,J].
+
+    `normals` [N,3] are those of the surface on which the Gaussians hang: light falls on it, not on each of them.
+    """
 
     means: Tensor
     rotations: Tensor
@@ -23,6 +26,7 @@ class Canonical(NamedTuple):
     opacities: Tensor
     sh: Tensor
     weights: Tensor
+    normals: Tensor
 
 
 class Surfels(NamedTuple):
@@ -41,7 +45,7 @@ class Resting(NamedTuple):
     """The same person in the rest pose of the skeleton, from which every pose starts.
 
     means[N,3] m, axes[N,3,3] scaled axes as columns, opacities[N], sh[N,K,3], weights[N,J], rotations[N,3,3] from the
-    canonical frame, in which colour is stored.
+    canonical frame, in which colour is stored, `normals` [N,3] of the surface on which they hang.
     """
 
     means: Tensor
@@ -50,6 +54,7 @@ class Resting(NamedTuple):
     sh: Tensor
     weights: Tensor
     rotations: Tensor
+    normals: Tensor
 
 
 def bone_transforms(joints: Tensor, parents: list[int], global_orient: Tensor, body_pose: Tensor) -> Tensor:
@@ -62,7 +67,8 @@ def rest(person: Canonical, canonical_bones: Tensor) -> Resting:
     """Take the person back to the rest pose: `taken_back` by `canonical_bones`[J,4,4] (rest to canonical)."""
     means, rotations = taken_back(person.means, person.weights, canonical_bones)
     axes = rotations @ (person.rotations * person.scales[:, None, :])
-    return Resting(means, axes, person.opacities, person.sh, person.weights, rotations)
+    normals = (rotations @ person.normals[..., None])[..., 0]
+    return Resting(means, axes, person.opacities, person.sh, person.weights, rotations, normals)
 
 
 def taken_back(means: Tensor, weights: Tensor, canonical_bones: Tensor) -> tuple[Tensor, Tensor]:
@@ -95,4 +101,5 @@ def pose(
     means, blend = skin(person.means, person.weights if few is None or bones.requires_grad else few, bones)
     rotations = blend @ person.rotations if person.sh.shape[1] > 1 else None
     axes = blend @ person.axes if stretch is None else stretch.grown(means, blend)
-    return Splats(means + transl, axes, person.opacities, person.sh, rotations)
+    normals = (blend.detach() @ person.normals[..., None])[..., 0]
+    return Splats(means + transl, axes, person.opacities, person.sh, rotations, normals=normals)

@@ -22,24 +22,34 @@ def pose_together(person: Resting, bones: Tensor, transl: Tensor, stretch: Stret
     """As `person.pose`, one after the other, for each of bones[P,J,4,4] and transl[P,3] m; float32 on a CPU, no gradients."""
     colours, own = person.sh.shape[1] > 1, person.axes if stretch is None else stretch.axes
     turned = [own, person.rotations] if colours else [own]
-    arrays = [part.detach().contiguous().numpy() for part in (person.weights, person.means, torch.stack(turned))]
+    points = torch.stack([person.means, person.normals])
+    arrays = [part.detach().contiguous().numpy() for part in (person.weights, points, torch.stack(turned))]
     for some, places in zip(bones.split(TOGETHER), transl.split(TOGETHER)):
         rows = some[:, :, :3].transpose(0, 1).contiguous().detach().numpy()
-        means = np.empty((len(some), len(person.means), 3), np.float32)
+        carried = np.empty((2, len(some), len(person.means), 3), np.float32)
         moved = np.empty((len(turned), len(some), len(person.means), 3, 3), np.float32)
-        _skin(*arrays, rows.reshape(len(rows), -1), means, moved)
+        _skin(*arrays, rows.reshape(len(rows), -1), carried, moved)
         for number, place in enumerate(places.detach()):
-            at, axes, *rotations = (torch.from_numpy(part) for part in (means[number], *moved[:, number]))
+            parts = *carried[:, number], *moved[:, number]
+            at, normals, axes, *rotations = (torch.from_numpy(part) for part in parts)
             axes = axes if stretch is None else stretch.gained(axes, at)
-            yield Splats(at + place, axes, person.opacities, person.sh, rotations[0] if colours else None)
+            turns = rotations[0] if colours else None
+            yield Splats(at + place, axes, person.opacities, person.sh, turns, normals=normals)
 
 
 @njit(cache=True, parallel=True, fastmath={"contract"})
 def _skin(
-    weights: np.ndarray, points: np.ndarray, turned: np.ndarray, rows: np.ndarray, means: np.ndarray, moved: np.ndarray
+    weights: np.ndarray,
+    points: np.ndarray,
+    turned: np.ndarray,
+    rows: np.ndarray,
+    carried: np.ndarray,
+    moved: np.ndarray,
 ) -> None:
-    """Fill means [P,N,3] and moved [C,P,N,3,3] from weights [N,J], points [N,3], turned [C,N,3,3] and rows [J,12P]."""
-    count, wide = len(points), rows.shape[1]
+    """Fill carried [2,P,N,3] and moved [C,P,N,3,3] from weights [N,J], points [2,N,3], which are means and normals, turned
+    [C,N,3,3] and rows [J,12P].
+    """
+    count, wide = len(weights), rows.shape[1]
     for chunk in prange(CHUNKS):
         blend = np.empty(wide, np.float32)
         for i in range(chunk * count // CHUNKS, (chunk + 1) * count // CHUNKS):
@@ -49,12 +59,14 @@ def _skin(
                 if share != ZERO:
                     for k in range(wide):
                         blend[k] += share * rows[j, k]
-            x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            for p in range(means.shape[0]):
+            x, y, z = points[0, i, 0], points[0, i, 1], points[0, i, 2]
+            u, v, w = points[1, i, 0], points[1, i, 1], points[1, i, 2]
+            for p in range(carried.shape[1]):
                 for row in range(3):
                     at = 12 * p + 4 * row
                     a, b, c = blend[at], blend[at + 1], blend[at + 2]
-                    means[p, i, row] = a * x + b * y + c * z + blend[at + 3]
+                    carried[0, p, i, row] = a * x + b * y + c * z + blend[at + 3]
+                    carried[1, p, i, row] = a * u + b * v + c * w
                     for kind in range(len(turned)):
                         axes, out = turned[kind, i], moved[kind, p, i, row]
                         out[0] = a * axes[0, 0] + b * axes[1, 0] + c * axes[2, 0]

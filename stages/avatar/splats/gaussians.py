@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn.functional import normalize
 
 from stages.avatar.splats.neighbours import nearest
 from stages.avatar.splats.sh import sh_colors
@@ -19,7 +18,8 @@ class Splats(NamedTuple):
     """N Gaussians in the world frame, metres, ready for any camera.
 
     means[N,3], axes[N,3,3] as in `Gaussians`, opacities[N], sh[N,K,3], and rotations[N,3,3] from the frame in which
-    colours are stored, or None. `antialias` as in `Gaussians`: learned so, drawn so.
+    colours are stored, or None. `antialias` as in `Gaussians`: learned so, drawn so. `normals` [N,3], of any length, are those of
+    the surface on which a person's Gaussians hang; None of a scene.
     """
 
     means: Tensor
@@ -28,18 +28,18 @@ class Splats(NamedTuple):
     sh: Tensor
     rotations: Tensor | None = None
     antialias: bool = False
+    normals: Tensor | None = None
 
     def detach(self) -> Splats:
         """The same without gradients."""
-        rotations = None if self.rotations is None else self.rotations.detach()
-        means, axes, opacities, sh = (part.detach() for part in self[:4])
-        return Splats(means, axes, opacities, sh, rotations, self.antialias)
+        return self._each(Tensor.detach)
 
     def rows(self, kept: Tensor) -> Splats:
         """Those `kept` [N]."""
-        rotations = None if self.rotations is None else self.rotations[kept]
-        means, axes, opacities, sh = (part[kept] for part in self[:4])
-        return Splats(means, axes, opacities, sh, rotations, self.antialias)
+        return self._each(lambda part: part[kept])
+
+    def _each(self, change: Callable[[Tensor], Tensor]) -> Splats:
+        return Splats._make(change(part) if isinstance(part, Tensor) else part for part in self)
 
     def colors(self, eye: Tensor) -> Tensor:
         """Colours [N,3] seen from `eye`[3] in the world; a Gaussian at the centre itself gets degree 0."""
@@ -50,11 +50,6 @@ class Splats(NamedTuple):
             away = torch.einsum("nij,ni->nj", self.rotations, away)
         squared = away.square().sum(1, keepdim=True)
         return sh_colors(self.sh, away * squared.clamp_min(1e-12).rsqrt())
-
-
-def facing(axes: Tensor) -> Tensor:
-    """Unit directions [N,3] in which flat Gaussians of a surface face: the last of their axes[N,3,3], 0 without length."""
-    return normalize(axes[:, :, 2], dim=1)
 
 
 def together(sets: Sequence[Splats]) -> Splats | None:

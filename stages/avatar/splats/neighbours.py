@@ -5,6 +5,9 @@ from __future__ import annotations
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
+from torch.nn.functional import normalize
+
+AT = 1e-3  # m: what is so far off counts half of what is at the place
 
 
 @torch.no_grad()
@@ -17,6 +20,14 @@ def nearest(those: Tensor, points: Tensor, k: int) -> tuple[Tensor, Tensor]:
     found = cKDTree(those.cpu().numpy()).query(points.cpu().numpy(), k=columns, workers=-1)
     distances, rows = (torch.as_tensor(array, device=points.device) for array in found)
     return distances, rows
+
+
+def shares_near(those: Tensor, points: Tensor, k: int) -> tuple[Tensor, Tensor]:
+    """Rows int64[N,k] of the k of `those`[M,3] nearest to each of points[N,3], and shares [N,k], which add up to 1: the larger, the
+    nearer.
+    """
+    away, rows = nearest(those, points, k)
+    return rows, normalize(1 / (away.to(points) + AT), p=1, dim=1)
 
 
 def median_near(values: Tensor, those: Tensor, points: Tensor, k: int) -> tuple[Tensor, Tensor]:

@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from stages.avatar.model.person import Canonical, rest
-from stages.avatar.splats.neighbours import nearest
+from stages.avatar.splats.neighbours import nearest, shares_near
 from stages.training.views import FittedBody, Views, person_frames
 
 UNDER = 4  # points of the surface that tell where it is
@@ -26,8 +26,8 @@ def snap_to_surface(person: Canonical, body: FittedBody, views: Views, frames: l
     them. Along the normal of the skin the same move costs ten times as much: only what is PROUD and seen edge-on goes so.
     """
     surface, outwards, _ = body.surface()
-    distance, under = nearest(surface, person.means, UNDER)
-    share = F.normalize(1 / (distance.to(person.means) + 1e-3), p=1, dim=1)[..., None]
+    under, shares = shares_near(surface, person.means, UNDER)
+    share = shares[..., None]
     normals = F.normalize((share * outwards[under]).sum(1), dim=1)
     height = ((person.means - (share * surface[under]).sum(1)) * normals).sum(1)
     foot = person.means - height[:, None] * normals

@@ -77,6 +77,7 @@ def _lining(person: Canonical, body: FittedBody, place: Tensor) -> tuple[Canonic
         opacities=torch.full_like(means[:, 0], 0.99),
         sh=median_near(person.sh[opaque], person.means[opaque], means, NEIGHBOURS)[0],
         weights=weights[rows],
+        normals=normals[rows],
     )
     return inner, rows
 

@@ -106,14 +106,16 @@ class PersonLearner:
         leaves = self._decoded()
         rotations, scales, opacities, sh, changed = self.human.look(*(leaves[name] for name in OWN))
         self.pull, axes = losses.REGULAR * changed, leaves["rotations"] @ (rotations * scales[:, None, :])
-        return Resting(leaves["means"], axes, opacities, sh, leaves["weights"], leaves["rotations"])
+        own = leaves["weights"], leaves["rotations"], self.normals
+        return Resting(leaves["means"], axes, opacities, sh, *own)
 
     def _decoded(self) -> dict[str, Tensor]:
         if self.leaves is None:
             shared, outside_box, moved = self.human.shared()
-            rough = losses.roughness(shared.means, self._neighbours(), self.human.rotations[:, :, 2])
+            rough = losses.roughness(shared.means, self._neighbours(), self.human.normals)
             self.prior = losses.OUTSIDE * outside_box + losses.REGULAR * moved + losses.SMOOTH * rough
             means, rotations = taken_back(shared.means, shared.weights, self.canonical_bones)
+            self.normals = (rotations.detach() @ self.human.normals[..., None])[..., 0]
             self.shared, self.decoded = shared, shared._asdict() | {"means": means, "rotations": rotations}
             # those of OWN also without networks, for `color_grad_sum`
             taught = {name: t.requires_grad or name in OWN for name, t in self.decoded.items()}

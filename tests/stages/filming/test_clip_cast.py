@@ -7,16 +7,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
+from torch.nn.functional import normalize
 
 from stages import evaluate, export, render
+from stages.avatar.body.smpl import Body, vertex_normals
+from stages.avatar.drawing.avatar import load_avatar
 from stages.avatar.drawing.rig import rig_of
 from stages.commands import report
 from stages.commands.report import clip as of_clip
 from stages.commands.report import results
 from stages.contract import Job, StageError
 from stages.filming.cast import cast
-from stages.filming.clip_cast import floor_under, load_cast, posed_as, with_casters
+from stages.filming.clip_cast import completed, floor_under, load_cast, posed_as
 from stages.filming.spec import Person
+from stages.formats.body_model import read_body_model
 from stages.formats.clip import load_people
 from stages.formats.facts import Metrics, Seconds, Smpl, read_facts
 from stages.formats.ground import read_ground
@@ -29,6 +34,7 @@ from tests.made import company, tiny
 from tests.made.devtools import Page
 from tests.made.meshes import coarse
 from tests.made.said import holds
+from tests.made.tiny import make_avatar
 
 
 @pytest.fixture(scope="module")
@@ -185,11 +191,23 @@ def test_the_picture_of_both_is_the_frame(clip):
 def test_the_shadow_of_each_is_that_of_their_own_body(clip):
     first, _ = load_people(clip["sfm"], clip["smpl"], clip["train"])
     avatar = read_avatar(clip["train"] / "avatar.npz")
-    slim, stout = (with_casters(replace(avatar, betas=betas), first.body_model).casters[0] for betas in
+    slim, stout = (completed(replace(avatar, betas=betas), first.body_model).casters[0] for betas in
                    (avatar.betas, np.array([2.0, -3.0] + [0.0] * 8)))  # fmt: skip
     assert np.abs(slim - stout).max() > 0.01
-    held = replace(avatar, casters=(np.ones((24, 3)), np.zeros((24, 3, 3))))
-    assert with_casters(held, first.body_model) is held, "as the file has it"
+    held = replace(avatar, casters=(np.ones((24, 3)), np.zeros((24, 3, 3))), normals=np.ones((len(avatar), 3)))
+    assert completed(held, first.body_model) is held, "as the file has it"
     _, cast = load_cast(clip["sfm"], clip["smpl"], clip["train"], "cpu")
     for who in cast.people:
         np.testing.assert_allclose(who.avatar.casters.middles, slim, atol=1e-6)
+
+
+def test_where_a_file_does_not_say_it_gaussians_face_as_the_skin_does_however_they_are_turned():
+    model = read_body_model()
+    avatar = make_avatar(model, every=40)
+    turned = replace(avatar, quats=np.random.default_rng(0).normal(size=avatar.quats.shape))
+    skin = load_avatar(replace(avatar, normals=completed(turned, model).normals)).resting.normals
+    vertices, _ = Body(model).rest(torch.zeros(10))
+    wanted = vertex_normals(vertices, torch.as_tensor(model.faces).long())[::40]
+    assert (normalize(skin, dim=1) * wanted).sum(1).median() > 0.97
+    unknown = completed(turned, None).normals
+    assert np.median((unknown * completed(turned, model).normals).sum(1)) > 0.99, "the free body stands in"

@@ -29,8 +29,9 @@ def avatar(n: int = 5) -> dict[str, np.ndarray]:
 
 def test_l07_round_trip_without_pickles(tmp_path):
     write_splats(tmp_path / "scene.npz", Scene(**scene()))
-    write_splats(tmp_path / "avatar.npz", Avatar(**avatar()))
+    write_splats(tmp_path / "avatar.npz", Avatar(**avatar(), normals=np.full((5, 3), 0.5)))
     back = read_avatar(tmp_path / "avatar.npz")
+    assert (back.normals == 0.5).all()
     assert len(read_scene(tmp_path / "scene.npz")) == 5
     for name, value in avatar().items():
         assert np.array_equal(getattr(back, name), value), name

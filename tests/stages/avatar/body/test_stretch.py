@@ -32,7 +32,7 @@ def between(points: torch.Tensor) -> torch.Tensor:
 def person(points: torch.Tensor, weights: torch.Tensor) -> Resting:
     """Round Gaussians of 1 cm."""
     still = torch.eye(3).to(points).expand(len(points), 3, 3)
-    return Resting(points, 0.01 * still, points[:, 0], points[:, None], weights, still)
+    return Resting(points, 0.01 * still, points[:, 0], points[:, None], weights, still, still[:, 2])
 
 
 def bones(shift=(0.0, 0, 0), turn=(0.0, 0, 0), dtype=F64) -> torch.Tensor:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from torch.nn.functional import normalize
 
 from stages.avatar.drawing import cast as cast_module
 from stages.avatar.drawing.avatar import PosedAvatar
@@ -16,7 +17,6 @@ from stages.avatar.effects.shading import Shading
 from stages.avatar.effects.shadow import Shadow
 from stages.avatar.effects.speeds import Speeds
 from stages.avatar.rasterize import Camera
-from stages.avatar.splats.gaussians import facing
 from stages.filming.cameras import cameras_of
 from stages.filming.cast import cast
 from stages.filming.setting import load_setting
@@ -106,7 +106,7 @@ def test_people_stand_in_the_light_of_the_film_and_the_scene_keeps_its_own(stage
     shading = Shading(torch.linspace(-0.6, 0.6, 24).view(8, 3)).requires_grad_(False)
     plain, lit = (at(setting.splats, None, people, light).sets for light in (None, shading))
     for before, after in zip(plain[:-1], lit[:-1], strict=True):
-        wanted = shading.light(facing(before.axes)) * (0.5 + 0.2820948 * before.sh[:, 0])
+        wanted = shading.light(normalize(before.normals, dim=1)) * (0.5 + 0.2820948 * before.sh[:, 0])
         torch.testing.assert_close(0.5 + 0.2820948 * after.sh[:, 0], wanted)
         assert (wanted - 0.5 - 0.2820948 * before.sh[:, 0]).abs().max() > 0.05
     assert lit[-1].sh is plain[-1].sh

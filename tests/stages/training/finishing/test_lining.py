@@ -164,7 +164,12 @@ def test_cloth_has_a_lining_of_its_own_where_there_is_any(standing):
     worn = person._replace(
         **{
             name: torch.cat([getattr(person, name), part])
-            for name, part in [*sheet._asdict().items(), ("opacities", torch.where(opaque, 0.9, 0.02)), ("sh", blue)]
+            for name, part in [
+                *sheet._asdict().items(),
+                ("opacities", torch.where(opaque, 0.9, 0.02)),
+                ("sh", blue),
+                ("normals", means),
+            ]
             if name in person._fields
         }
     )

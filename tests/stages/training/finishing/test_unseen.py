@@ -28,7 +28,7 @@ def standing() -> tuple[Canonical, FittedBody]:
     rows = where.faces[face]
     means, weights = (torch.einsum("fc,fcx->fx", share, of[rows]) for of in (where.vertices, where.weights))
     scales, rows = torch.tensor([0.008, 0.008, 0.002]).expand(len(face), 3), rows[:, 0]
-    rest = person.opacities[rows], person.sh[rows], weights
+    rest = person.opacities[rows], person.sh[rows], weights, normals[face]
     return Canonical(means, rotation_z_to(normals[face]), scales, *rest), where
 
 
