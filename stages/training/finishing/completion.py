@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from scipy.ndimage import binary_dilation, distance_transform_edt
+from scipy.ndimage import binary_dilation, distance_transform_edt, gaussian_filter
 from scipy.sparse import coo_matrix, diags
 from scipy.sparse.linalg import spsolve
 
@@ -17,7 +17,8 @@ DEEP = 16.0  # px at most to a hole's border in the smallest picture, which is a
 FAR = 0.07  # of the longer side: a patch from so far above or below has to look better by 1, see `search`
 FIRST, THEN, LAST = 24, 12, 4  # turns, at most, in the smallest picture, in larger ones and in the largest
 STILL = 1e-4  # mean change in a turn, of 1, from which on it is done
-SHARP = 0.02  # spread of an overlay at least, and of the last one: each pixel is that of the best patches over it
+SHARP = 0.02  # spread of an overlay at least: each pixel is that of the best patches over it
+SOFTENED = 4.0  # px: sigma of the colours around that a patch has to agree with, see `_softened`
 PATCH = np.ones((2 * REACH + 1, 2 * REACH + 1), bool)
 
 
@@ -33,6 +34,7 @@ def complete(picture: np.ndarray, hole: np.ndarray) -> np.ndarray | None:
     """A picture float[H,W,3] in 0..1 whose hole [H,W] is filled; None where too little of it is known to fill it from.
 
     What is filled in is invented: it goes on as what is around it does, most of all what is level with it. Wexler et al. 2007.
+    Patches must agree with a smooth filling, too: that is nearer to the truth than any one of them, and they bring its detail.
     """
     sizes = [(picture.astype(np.float32), hole)]
     if not hole.any():
@@ -45,15 +47,13 @@ def complete(picture: np.ndarray, hole: np.ndarray) -> np.ndarray | None:
     if not sizes:
         return None
     smallest, hole = sizes[-1]
-    patches = _anywhere(hole)
-    start = cv2.inpaint((255 * smallest).round().astype(np.uint8), hole.astype(np.uint8), REACH, cv2.INPAINT_TELEA)
-    filled = np.where(hole[..., None], start.astype(np.float32) / 255, smallest)
-    filled = _settled(filled, hole, patches, FIRST)
+    patches, smooth = _anywhere(hole), _softened(smallest, hole)
+    filled = _settled(np.where(hole[..., None], smooth, smallest), smooth, hole, patches, FIRST)
     for known, hole in reversed(sizes[:-1]):
         patches = _twice_as_large(patches, hole)
-        filled = overlay(known, hole, patches.row, patches.found, np.zeros(len(patches.found)), 1.0)
-        filled = _settled(filled, hole, patches, LAST if known is sizes[0][0] else THEN)
-    return filled
+        filled = _laid(known, hole, patches)
+        filled = _settled(filled, _softened(known, hole), hole, patches, LAST if known is sizes[0][0] else THEN)
+    return _laid(filled, hole, patches)
 
 
 def membrane(values: np.ndarray, hole: np.ndarray) -> np.ndarray:
@@ -79,11 +79,30 @@ def membrane(values: np.ndarray, hole: np.ndarray) -> np.ndarray:
     return filled
 
 
-def _settled(picture: np.ndarray, hole: np.ndarray, patches: _Patches, turns: int) -> np.ndarray:
-    """The picture after as many turns of searching and overlaying; `patches.found` are improved in place."""
+def _softened(picture: np.ndarray, hole: np.ndarray) -> np.ndarray:
+    """What is known [H,W,3], blurred, and in the hole [H,W] a membrane of what is around."""
+    known = (~hole).astype(np.float32)
+    share = np.maximum(gaussian_filter(known, SOFTENED), 1e-6)
+    parts = [
+        np.where(hole, membrane(part, hole), gaussian_filter(part * known, SOFTENED) / share)
+        for part in np.moveaxis(picture, -1, 0)
+    ]
+    return np.stack(parts, -1).astype(np.float32)
+
+
+def _laid(picture: np.ndarray, hole: np.ndarray, patches: _Patches) -> np.ndarray:
+    """The picture with the mean of all patches over each pixel of its hole."""
+    return overlay(picture, hole, patches.row, patches.found, np.zeros(len(patches.found)), 1.0)
+
+
+def _settled(picture: np.ndarray, smooth: np.ndarray, hole: np.ndarray, patches: _Patches, turns: int) -> np.ndarray:
+    """The picture after as many turns of searching and overlaying; `patches.found` are improved in place.
+
+    Patches are compared in their colours and in those of `smooth` [H,W,3].
+    """
     sources, costs, rng = _sources(hole), np.zeros(0), np.random.default_rng(0)
     for _ in range(turns):
-        costs = search(picture, *patches, sources, FAR * max(hole.shape), rng)
+        costs = search(np.concatenate([picture, smooth], 2), *patches, sources, FAR * max(hole.shape), rng)
         before, spread = picture, max(np.quantile(costs, 0.75) / 2, SHARP)
         picture = overlay(picture, hole, patches.row, patches.found, costs, spread)
         if np.abs(picture - before)[hole].mean() < STILL:
