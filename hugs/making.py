@@ -63,7 +63,7 @@ def animate(
     at: tuple[float, float, float] = (0.0, 0.0, 0.0),
     who: int = 1,
     only: str = "both",
-    cameras: Pathish | None = None,
+    camera: Pathish | None = None,
     fps: float = 30.0,
     settings: Mapping[str, Any] | None = None,
     force: bool = False,
@@ -76,7 +76,7 @@ def animate(
     - `who` of the people of a run, from 1 on.
     - `motion`: a .bvh of any skeleton, or an .npz of SMPL poses. `out`: an .mp4, of `fps` frames a second.
     - `scene`: the folder of another run, or a .ply, .spz or .npz; their own without it. `at` [3] m: where the soles stand in it.
-    - `only`: "both", or "human" over white. `cameras`: an .npz as for `hugs render`.
+    - `only`: "both", or "human" over white. `camera`: a kind, as in a film, or an .npz as for `hugs render`.
     - `settings` of the person, as {"motion_fps": 60, "up": "z"}: those that docs/films.md lists under `people`.
     - `force`: write over a file that others made. `device`: "auto", "cpu" or "cuda". `progress` hears how far it is.
 
@@ -84,10 +84,10 @@ def animate(
 
         hugs.animate("work/dance/default", "moves.bvh", "dance-moves.mp4")
     """
-    behind, views = (None if one is None else Path(one) for one in (scene, cameras))
+    behind = None if scene is None else Path(scene)
     actor: dict[str, Any] = {"avatar": _place(person), "who": who, "motion": str(motion), **(settings or {})}
     film: dict[str, Any] = {"fps": fps, "only": only, "out": {"film": Path(out)}}
-    film |= staged(actor, behind, at, views)
+    film |= staged(actor, behind, at, None if camera is None else str(camera))
     (made,) = animated(film, device, _work(_place(person)), force, [], console_for(progress))
     return made
 

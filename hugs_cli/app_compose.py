@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import tempfile
 from contextlib import AbstractContextManager, nullcontext
 from itertools import permutations
 from pathlib import Path
@@ -47,12 +49,13 @@ def compose(
 ) -> None:
     """Put people of several clips into one scene.
 
-    `hugs compose --init work/kitchen/default work/dance/default` writes film.yaml, `hugs compose film.yaml` makes it: a film,
-    pictures, a page, files for other programs. What is as it was is not made again; a film that was cut short goes on.
+    `hugs compose --init work/kitchen/default work/dance/default` writes film.yaml, with places and a camera that show all of them
+    where there are such; `hugs compose film.yaml` makes it: a film, pictures, a page, files for other programs. What is as it was
+    is not made again; a film that was cut short goes on.
     """
     given = films_ or []
     if init:
-        begin(given, out, force, work)
+        begin(given, out, force, device.value, work)
         return
     if len(given) != 1:
         raise UsageError(f"{len(given)} films to make", "`hugs compose film.yaml`")
@@ -110,7 +113,7 @@ scene: {scene}
 
 people:
 {people}
-camera: {camera}              # clip, still, follow (of the scene's clip), orbit, before, or an .npz of cameras
+camera: {camera}              # clip, still, follow (of the scene's clip), orbit, before, auto (one that shows them), or an .npz
 light: auto               # auto: as the scene's own light falls; above; off
 colour: off               # match people to the scene: off, auto (where clips differ clearly and tell their light), always
 fps: 30
@@ -130,7 +133,7 @@ out:
 PERSON = """\
   - avatar: {avatar}
 {who}    motion: {motion}          # a .bvh or .npz; clip: as in their own clip; wave, squats, jumping_jacks, walk_in_place
-    # at: [1.0, 0.0]      # m on the floor from where the scene's person stood: to their left, ahead; else where it is free
+    {at:<22}# m on the floor from where the scene's person stood: to their left, ahead; else where it is free
     turn: 0               # degrees to the left
     # start: 1.5          # second of the film at which the motion begins; less than 0: it is under way
     # speed: 1.0          # times as fast
@@ -139,10 +142,11 @@ PERSON = """\
 """
 WHO = """    who: {}                # which of the people of this run
 """
+AT, PLAN = "# at: [1.0, 0.0]", "plan.json"
 OTHERS = "train/people/*/avatar.npz"  # of a run: its further people
 
 
-def begin(runs: list[Path], out: Path, force: bool, work: Path) -> None:
+def begin(runs: list[Path], out: Path, force: bool, device: str, work: Path) -> None:
     """Write a commented film of runs and exported avatars, side by side in the scene of the first."""
     if not runs:
         raise UsageError("nobody to make a film of", "`hugs compose --init work/kitchen/default work/dance/default`")
@@ -157,15 +161,33 @@ def begin(runs: list[Path], out: Path, force: bool, work: Path) -> None:
     for name, run in zip(names, runs, strict=True):
         further, motion = len(list(run.glob(OTHERS))), "clip" if run.is_dir() else "wave"
         for number in range(1, 2 + further):
-            who = WHO.format(number) if further else ""
-            people.append(PERSON.format(avatar=name, who=who, motion=motion))
-    camera = "clip" if scene else "before"
-    parts = {"scene": scene or "null", "people": "".join(people), "camera": camera}
+            people.append({"avatar": name, "who": WHO.format(number) if further else "", "motion": motion, "at": AT})
+    parts = {"scene": scene or "null", "camera": "clip" if scene else "before"}
     parts["command"] = words.command("compose", out.name, pipeline="default", work=Path("work"))
     parts |= {ending: films.quoted(f"{out.stem}.{ending}") for ending in ("mp4", "html", "mov", "ply", "glb", "usdc")}
     parts["stills"] = films.quoted(out.stem)
+
+    def written() -> str:
+        return TEMPLATE.format(**parts, people="".join(PERSON.format(**person) for person in people))
+
     out.parent.mkdir(parents=True, exist_ok=True)
-    text = TEMPLATE.format(**parts)
-    films.check_sources(films.checked(films.plain_yaml.read(text), out.name, out.parent))
-    replace(out, text)
-    Console().result(words.relative(out))
+    film = films.checked(films.plain_yaml.read(written()), out.name, out.parent)
+    films.check_sources(film)
+    console = Console()
+    if scene:
+        found = planned(film, device, work, console)
+        parts["camera"] = found["camera"]
+        for person, (left, ahead) in zip(people, found["at"], strict=True):
+            person["at"] = person["at"] if [left, ahead] == [0, 0] else f"at: [{left:g}, {ahead:g}]"
+    replace(out, written())
+    console.result(words.relative(out))
+
+
+def planned(film: Any, device: str, work: Path, console: Console) -> dict[str, Any]:
+    """Where people of a film stand, and a camera that shows them: the keys `at` and `camera`."""
+    where, _ = device_of(device)
+    with tempfile.TemporaryDirectory() as folder:
+        job = Job(Path(folder), where, emit=remembering(work, console.listens("compose")))
+        run_directly(films.MODULE, job, film.model_dump() | {"plan": True})
+        plan: dict[str, Any] = json.loads((Path(folder) / PLAN).read_bytes())
+    return plan

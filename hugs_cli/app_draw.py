@@ -105,8 +105,13 @@ def animate(
     out: Annotated[Path | None, Option(help="The video to write (mp4).", show_default="CLIP-MOTION.mp4")] = None,
     only: Annotated[options.Only, Option(help="human: over white; both: in the scene.")] = options.Only.both,
     fps: Annotated[float, Option(min=0.1, max=240, help="Frames a second of the video.")] = 30,
-    cameras: Annotated[
-        Path | None, Option(help="As for render, one or one a frame; the middle frame's if none.")
+    camera: Annotated[
+        str | None,
+        Option(
+            metavar="KIND|FILE",
+            help="clip, still, follow, orbit or before, as in a film; or a file as for render, one camera or one a frame.",
+            show_default="the clip's; before, where that sees backs",
+        ),
     ] = None,
     motion_fps: Annotated[
         float | None, Option(min=0.1, max=10_000, help="Frames a second of the motion; the file's if none.")
@@ -133,7 +138,8 @@ def animate(
         pipeline = pipeline_of(video, work, pipeline, Console(), "train")
         finished(video, work, pipeline, *films.STAGES)
         run_folder = Workspace(video, work, pipeline).links
-    check_files(motion, cameras, avatar, None if scene is None or scene.is_dir() else scene)
+    views = Path(camera) if camera and films.is_path("camera", camera) else None
+    check_files(motion, views, avatar, None if scene is None or scene.is_dir() else scene)
     if only is options.Only.scene:
         raise UsageError("a scene alone does not move", "`--only human` or `--only both`")
     name = clip_name(video) if video else Path(avatar or "avatar").stem
@@ -141,8 +147,8 @@ def animate(
     person: dict[str, Any] = {"avatar": run_folder or avatar, "who": who, "motion": str(motion)}
     person |= {"motion_fps": motion_fps, "up": up and up.value}
     film: dict[str, Any] = {"fps": fps, "only": only.value, "out": {"film": out}, "scene_axes": scene_axes.value}
-    film |= staged(person, scene, at, cameras)
-    console, given = Console(), [path for path in (video, motion, cameras, avatar, scene) if path is not None]
+    film |= staged(person, scene, at, camera)
+    console, given = Console(), [path for path in (video, motion, views, avatar, scene) if path is not None]
     for path in animated(film, device.value, work, force, given, console):
         console.result(words.relative(path))
 
@@ -158,18 +164,18 @@ def animated(
 
 
 def staged(
-    person: dict[str, Any], scene: Path | None, at: tuple[float, float, float], cameras: Path | None
+    person: dict[str, Any], scene: Path | None, at: tuple[float, float, float], camera: str | None
 ) -> dict[str, Any]:
     """A film's one `person`, and where they stand: in the scene of another run, of their own if they are of a run, or alone."""
     run = person["avatar"] if person["avatar"].is_dir() else None
-    camera = str(cameras) if cameras else "still"
+    seen = {"camera": camera or "auto"}
     if scene is not None and scene.is_dir():
-        return {"people": [person | {"at": (at[0], at[2])}], "scene": scene, "camera": camera}
+        return {"people": [person | {"at": (at[0], at[2])}], "scene": scene} | seen
     if run is not None:
-        return {"people": [person], "scene": run, "gaussians": scene, "camera": camera}
+        return {"people": [person], "scene": run, "gaussians": scene} | seen
     floor = {} if scene is None else {"ground": {"point": at}}
-    alone = {"camera": str(cameras), "size": None} if cameras else {"camera": "before", "size": SIZE}
-    return {"people": [person], "scene": scene} | alone | floor
+    size = {} if films.is_path("camera", seen["camera"]) else {"size": SIZE}
+    return {"people": [person], "scene": scene} | seen | size | floor
 
 
 def check_source(video: Path | None, avatar: Path | None, who: int) -> None:

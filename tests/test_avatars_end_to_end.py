@@ -130,7 +130,7 @@ def film_of(people: list[str], name: str, kinds: Iterable[str] = OUTS) -> str:
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_file_is_animated_rendered_and_loaded(kind, made, hugs):
     name = f"out_{kind.replace('.', '_')}"
-    hugs("animate", "--avatar", kind, "moves.npz", "--cameras", "view.npz", "--fps", "4", "--out", f"{name}.mp4")
+    hugs("animate", "--avatar", kind, "moves.npz", "--camera", "view.npz", "--fps", "4", "--out", f"{name}.mp4")
     hugs("render", "--avatar", kind, "--cameras", "view.npz", "--out", f"{name}_views")
     assert (colour_of(read_image(made / f"{name}_views/000.png")[..., :3]) >= 0).sum() > 100
     person = front.load(made / kind).pose()
@@ -151,7 +151,7 @@ def test_every_kind_of_run_is_animated_composed_and_rendered(made, hugs):
     people = []
     for run, who in RUNS.items():
         clip = Path(run).parent.name
-        said = ("moves.npz", *who, "--only", "human", "--fps", "4", "--cameras", "view.npz", "--out", f"{clip}_own.mp4")
+        said = ("moves.npz", *who, "--only", "human", "--fps", "4", "--camera", "view.npz", "--out", f"{clip}_own.mp4")
         hugs("animate", f"{clip}.mp4", *said)
         hugs("render", f"{clip}.mp4", *who, "--cameras", "view.npz", "--only", "human", "--out", f"{clip}_views")
         people.append(f"{{avatar: {run}, who: {int((who or ['', 1])[1])}, motion: squats, at: [{len(people)}, 0]}}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import tempfile
 from collections.abc import Callable, Sequence
@@ -13,6 +14,7 @@ from stages.contract import Job, StageError
 from stages.filming.spec import Film
 
 if TYPE_CHECKING:
+    from stages.avatar.rasterize import Camera
     from stages.filming.cast import Actor
     from stages.filming.colours import Look
     from stages.filming.parts import Parts
@@ -20,9 +22,17 @@ if TYPE_CHECKING:
     from stages.filming.shoot import Shoot
 
 
+PLAN, VIEWS = (
+    "plan.json",
+    ("clip", "auto", "before"),
+)  # and the cameras of which a plan takes the first that cuts nobody off
+
+
 class Params(Film):
     """The keys of film.yaml; `code` stands for the version of the program, with which all that was kept is out of date."""
 
+    plan: bool = contract.internal(False)
+    """Make nothing but a PLAN in `job.out`: where people stand, and a camera that shows them."""
     keep: bool = contract.internal(True)
     """Keep in `job.out` what a later run may use."""
     code: str = contract.internal("")
@@ -33,7 +43,6 @@ def run(job: Job, params: Params) -> None:
 
     All is read and looked at before anything is drawn. StageError for what cannot be read or does not go together.
     """
-    from stages.filming.cameras import cameras_of
     from stages.filming.checks import faults_of
     from stages.filming.parts import Parts
     from stages.filming.setting import load_setting
@@ -52,12 +61,37 @@ def run(job: Job, params: Params) -> None:
     cast = _cast(job, params, setting)
     count = length_of(params, cast)
     check_count(count, "pictures", "the film")
-    cameras = cameras_of(params.camera, count, params.fps, params.size, setting, cast)
+    kind, cameras = _cameras(job, params, count, setting, cast)
     for fault in faults_of(cast, setting.ground, count, params.fps):
         job.warn(fault)
+    if params.plan:
+        places = [((actor.place - setting.ground.point) @ setting.ground.turn)[[0, 2]].round(2) + 0.0 for actor in cast]
+        (job.out / PLAN).write_text(json.dumps({"camera": kind, "at": [place.tolist() for place in places]}))
+        return
     shoot = Shoot(setting, cast, cameras, params.fps)
     with tempfile.TemporaryDirectory() as passing:
         _write(job, params, shoot, Parts(job.out if params.keep else Path(passing), params.code, job))
+
+
+def _cameras(
+    job: Job, film: Params, count: int, setting: Setting, cast: Sequence[Actor]
+) -> tuple[str, Sequence[Camera]]:
+    """The kind of the film's cameras, of a plan the first of VIEWS that shows all people, and the cameras; says what they lack."""
+    from stages.filming.framing import faults, framed, framings
+
+    lacks: dict[str, list[str]] = {}
+    for kind in VIEWS if film.plan else (film.camera,):
+        cameras, fact = framed(kind, count, film.fps, film.size, setting, cast)
+        lacks[kind] = faults(framings(cameras, film.fps, setting, cast), cast)
+        if not lacks[kind]:
+            break
+    for other in list(lacks)[:-1]:
+        job.note(f"not `camera: {other}`: {'; '.join(lacks[other])}", at_once=True)
+    if fact:
+        job.note(fact, at_once=True)
+    for lack in lacks[kind]:
+        job.warn(lack)
+    return kind, cameras
 
 
 def length_of(film: Film, cast: Sequence[Actor]) -> int:
@@ -81,7 +115,7 @@ def names_of(film: Film) -> list[str]:
 
 def _check_endings(film: Film) -> None:
     from stages.avatar.motion.formulas import MOTIONS
-    from stages.filming.cameras import KINDS
+    from stages.filming.cameras import AUTO, KINDS
     from stages.filming.outputs import check_splats
 
     wanted = {"film": ".mp4", "alpha": ".mov", "page": ".html", "glb": ".glb", "usd": ".usdc"}
@@ -96,8 +130,8 @@ def _check_endings(film: Film) -> None:
         if not Path(person.motion).suffix and person.motion not in ("clip", *MOTIONS):
             hint = f"a .bvh or .npz, or one of clip, {', '.join(MOTIONS)}"
             raise StageError(f"no motion {person.motion!r}", hint)
-    if not Path(film.camera).suffix and film.camera not in KINDS:
-        raise StageError(f"no camera {film.camera!r}", f"an .npz of cameras, or one of {', '.join(KINDS)}")
+    if not Path(film.camera).suffix and film.camera not in (AUTO, *KINDS):
+        raise StageError(f"no camera {film.camera!r}", f"an .npz of cameras, or one of {AUTO}, {', '.join(KINDS)}")
     if film.out.usd is not None:
         from stages.formats.exchange.usd import check_usd
 

@@ -17,6 +17,7 @@ from stages.filming.setting import Setting
 from stages.formats.cameras import read_cameras
 
 KINDS = ("clip", "still", "orbit", "follow", "before")
+AUTO = "auto"  # one of them, see framing.py
 SIZE = (640, 360)  # px, where nothing says it
 FOCAL = 1.6  # of the shorter side, where no clip tells it
 CROWN = 0.25  # m of head above the joint of that name
@@ -27,11 +28,18 @@ TURN = 20.0  # s at least that `orbit` takes for a round
 
 
 def cameras_of(
-    kind: str, count: int, fps: float, size: tuple[int, int] | None, setting: Setting, cast: Sequence[Actor]
+    kind: str,
+    count: int,
+    fps: float,
+    size: tuple[int, int] | None,
+    setting: Setting,
+    cast: Sequence[Actor],
+    frame: int | None = None,
 ) -> list[Camera]:
     """The camera of each of `count` pictures, for a `kind` of KINDS or the path of a cameras.npz in the film's world.
 
-    StageError where it needs a clip and the scene has none, or where given cameras do not fit.
+    Those that stand are where the clip's was at a `frame`, None: its middle one. StageError where it needs a clip and the scene has
+    none, or where given cameras do not fit.
     """
     if kind not in KINDS:
         return _given(Path(kind), count, size)
@@ -42,13 +50,13 @@ def cameras_of(
         raise StageError("the scene has no clip whose camera could be taken", f"take `camera:` {others}", facts)
     if kind in ("orbit", "before") or clip is None:
         return _around(kind, count, fps, size or SIZE, setting, cast)
-    middle = len(clip.names) // 2
+    row = len(clip.names) // 2 if frame is None else frame
     width, height = size or (clip.width, clip.height)
-    K = _resized(clip.Ks[middle], (clip.width, clip.height), (width, height))
+    K = _resized(clip.Ks[row], (clip.width, clip.height), (width, height))
     if kind == "still":
-        return [Camera.of(clip.viewmats[middle], K, width, height)] * count
+        return [Camera.of(clip.viewmats[row], K, width, height)] * count
     if kind == "follow":
-        return _following(clip.viewmats[middle], K, width, height, count, fps, setting, cast)
+        return _following(clip.viewmats[row], K, width, height, count, fps, setting, cast)
     views = _to_and_fro(clip.viewmats, setting.times, count, fps)
     return [Camera.of(view, K, width, height) for view in views]
 
@@ -94,9 +102,9 @@ def _views(turns: np.ndarray, eyes: np.ndarray) -> np.ndarray:
     return views
 
 
-def _crowd(count: int, cast: Sequence[Actor], up: np.ndarray) -> np.ndarray:
-    """Where people are in each picture: joints and crowns [count,P,3] m."""
-    joints = np.concatenate([actor.joints(range(count)) for actor in cast], 1)
+def crowd(pictures: Sequence[int], cast: Sequence[Actor], up: np.ndarray) -> np.ndarray:
+    """Where people are in each of N pictures: joints and crowns [N,P,3] m."""
+    joints = np.concatenate([actor.joints(pictures) for actor in cast], 1)
     heads = joints[:, 15::24] + CROWN * up * np.array([actor.scale for actor in cast])[:, None]
     return np.concatenate([joints, heads], 1)
 
@@ -107,7 +115,7 @@ def _around(
     """Around all that people do, a round or more; or before it, a little aside, all of it in view."""
     ground, (width, height) = setting.ground, size
     K = pinhole(FOCAL * min(size), width, height)
-    points = ((_crowd(count, cast, ground.up) - ground.point) @ ground.turn).reshape(-1, 3)
+    points = ((crowd(range(count), cast, ground.up) - ground.point) @ ground.turn).reshape(-1, 3)
     low, high = points.min(0), points.max(0)
     middle = (low + high) / 2
     reach = max(float(np.linalg.norm(points - middle, axis=1).max()), 0.5)
@@ -136,6 +144,6 @@ def _following(
 ) -> list[Camera]:
     """From where the clip's middle camera stood, turned so that people stay in the middle of the picture."""
     eye = -view[:3, :3].T @ view[:3, 3]
-    middle = _crowd(count, cast, setting.ground.up).mean(1)
+    middle = crowd(range(count), cast, setting.ground.up).mean(1)
     middle = gaussian_filter1d(middle, CALM * fps, axis=0, mode="nearest")
     return [Camera.of(look_at(eye, target, setting.ground.up), K, width, height) for target in middle]

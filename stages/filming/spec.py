@@ -92,7 +92,8 @@ class Film(contract.Params):
     people: list[Person] = Field(min_length=1)
     camera: str = "clip"
     """clip: the path of the scene's clip, to and fro. still: the camera of its middle frame. orbit: around the people.
-    follow: still, but turning after them. before: one that sees all that they do. Or an .npz of cameras, one or one a picture."""
+    follow: still, but turning after them. before: one that sees all that they do. auto: still, at the frame that shows people
+    best, wider if they need it; where all see backs, before. Or an .npz of cameras, one or one a picture."""
     light: Literal["auto", "above", "off"] = "auto"
     """Shadows and the light on people. auto: as the scene's run has learned or seen them, else shadows from above in even light;
     above: that; off: no shadows, even light."""

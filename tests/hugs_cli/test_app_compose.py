@@ -13,6 +13,7 @@ import av
 import numpy as np
 import pytest
 
+from hugs_cli import app_compose
 from hugs_cli.cache.fingerprint import content_digest
 from hugs_cli.cache.locks import locked
 from hugs_cli.console import Console
@@ -79,11 +80,13 @@ def write(made: Path, name: str, out: str, *changes: tuple[str, str]) -> str:
     return name
 
 
-def test_what_init_writes_runs_as_it_is(made, hugs):
-    out, _ = hugs("--init", "work/ann/default", "work/bob/default", "--out", "new/first.yaml")
+def test_what_init_writes_runs_as_it_is(made, hugs, monkeypatch):
+    out, said = hugs("--init", "work/ann/default", "work/bob/default", "--out", "new/first.yaml")
     assert out == "new/first.yaml\n"
     text = (made / "new/first.yaml").read_text()
     assert text.count("#") > 15 and "avatar: ../work/bob/default" in text
+    (place,) = re.findall(r"^    at: \[(.*), 0\]", text, re.MULTILINE)  # bob's; ann stands where she was
+    assert abs(float(place)) >= 1 and holds(said, "bob", place)
     (made / "new/first.yaml").write_text(text.replace("fps: 30", "fps: 4"))
     out, err = hugs("new/first.yaml")
     assert out == "new/first.mp4\n" and holds(err, "3 frames", "0.8 s", "4 fps")
@@ -91,9 +94,13 @@ def test_what_init_writes_runs_as_it_is(made, hugs):
     others = made / "work/bob/default/train/people/2"
     others.mkdir(parents=True)
     (others / "avatar.npz").touch()
-    hugs("--init", "work/ann/default", "work/bob/default", "--out", "new/both.yaml")
+    plan = {"camera": "auto", "at": [[0, 0], [0.25, -1], [0.25, -1]]}
+    with monkeypatch.context() as patch:
+        patch.setattr(app_compose, "planned", lambda *_: plan)
+        hugs("--init", "work/ann/default", "work/bob/default", "--out", "new/both.yaml")
     text = (made / "new/both.yaml").read_text()
     assert [line.split()[1] for line in text.splitlines() if line.startswith("    who:")] == ["1", "2"]
+    assert text.count("    at: [0.25, -1]") == 2 and "camera: auto " in text
     shutil.rmtree(others.parent)
     assert holds(hugs("--init", "work/ann/default", "--out", "new/first.yaml", code=2)[1], "error", "new/first.yaml")
     assert "nobody" in hugs("--init", code=2)[1]

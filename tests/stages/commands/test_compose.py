@@ -111,10 +111,10 @@ def test_cameras_of_ones_own_and_the_scene(trained, hugs):
     names = ("a", "b")
     write_cameras(trained / "one.npz", Cameras(names[:1], clip.viewmats[:1], K, WIDTH // 2, HEIGHT // 2))
     write_cameras(trained / "two.npz", Cameras(names, clip.viewmats[:2], np.tile(K, (2, 1, 1)), 48, 64))
-    hugs("amass.npz", "--fps", "1", "--cameras", "one.npz", "--out", "one.mp4")
+    hugs("amass.npz", "--fps", "1", "--camera", "one.npz", "--out", "one.mp4")
     frames = film(trained / "one.mp4")
     assert frames.shape == (3, HEIGHT // 2, WIDTH // 2, 3) and frames[:, :4, :4].max() < 140, "a wall, not white"
-    _, err = hugs("amass.npz", "--fps", "1", "--cameras", "two.npz", code=1)
+    _, err = hugs("amass.npz", "--fps", "1", "--camera", "two.npz", code=1)
     assert holds(err, "error", "2 cameras", "two.npz", "3 pictures")
 
 
@@ -238,7 +238,7 @@ def test_an_exported_avatar_in_an_exported_scene(trained, exported, hugs):
     """The wall is 4.5 m ahead, y down: the person stands on y = 1, 3 m ahead, and is seen from the clip's camera."""
     clip = load_clip(*(trained / "work/clip/default" / name for name in ("sfm", "smpl")))
     write_cameras(trained / "there.npz", Cameras(("a",), clip.viewmats[4:5], clip.Ks[:1], WIDTH, HEIGHT))
-    args = ("amass.npz", "--fps", "1", "--cameras", "there.npz", "--at", "0", "1", "3", "--out", "there.mp4")
+    args = ("amass.npz", "--fps", "1", "--camera", "there.npz", "--at", "0", "1", "3", "--out", "there.mp4")
     hugs("--avatar", "exported/avatar.npz", "--scene", "exported/scene.spz", *args, source=())
     picture = film(trained / "there.mp4")[0]
     seen = colour_of(picture)

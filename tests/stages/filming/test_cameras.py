@@ -8,7 +8,7 @@ import pytest
 
 from stages.avatar.cameras.pinhole import project
 from stages.contract import StageError
-from stages.filming.cameras import CROWN, _crowd, cameras_of
+from stages.filming.cameras import CROWN, cameras_of, crowd
 from stages.filming.cast import cast
 from stages.filming.setting import load_setting
 from stages.filming.spec import Film, Person
@@ -106,7 +106,7 @@ def test_a_crown_is_as_much_higher_as_somebody_is_larger(stage):
     up = setting.ground.up
     for scale in (0.5, 1.0, 3.0):
         large = replace(actor, scale=scale)
-        found = _crowd(2, [large, actor], up)
+        found = crowd(range(2), [large, actor], up)
         assert found.shape == (2, 50, 3)
         heads = found[:, 48:] - np.concatenate([one.joints(range(2))[:, 15:16] for one in (large, actor)], 1)
         np.testing.assert_allclose(heads @ up, np.tile(CROWN * np.array([scale, 1.0]), (2, 1)))

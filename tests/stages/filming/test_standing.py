@@ -12,7 +12,7 @@ from stages.avatar.cameras.pinhole import look_at, pinhole
 from stages.avatar.model.scene import load_scene
 from stages.filming.setting import Setting
 from stages.filming.spec import Film, Person
-from stages.filming.standing import APART, CLOSE, SHOWN, _in_the_way, free_places
+from stages.filming.standing import APART, CLOSE, SHOWN, _in_the_way, free_places, views_of
 from stages.records import Ground, Scene
 
 LEVEL = Ground(np.zeros(3), np.array([0, 1.0, 0]), np.array([0, 0, 1.0]), 1, 0, 0, 0, "")
@@ -110,7 +110,7 @@ def test_where_everything_is_full_it_is_the_place_with_least_in_the_way():
 
 
 def in_the_way(spot: tuple[float, float], *taken: tuple[float, float]) -> float:
-    return _in_the_way(spot, taken, setting_of(), np.inf)
+    return _in_the_way(spot, taken, setting_of(), views_of(setting_of(), 1))
 
 
 def test_who_stands_before_another_hides_them_however_near_the_camera_is():
