@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from stages.avatar.body.rotations import rotation_z_to
+from stages.avatar.kernels import njit, prange
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.sh import with_gain
 
@@ -16,6 +18,8 @@ DARKNESS, SOFTNESS, DENSITY, SIZE = 0.5, 0.04, 3.0, 0.6  # to begin with
 REACH = 3.0  # standard deviations beyond which a bone casts nothing
 LEAST = 1e-6  # share of the vertices under which a bone casts nothing
 ABOVE = 0.05  # m: width of the sigmoid that tells before from behind
+ZERO, HALF, ONE, STEEP = np.float32(0), np.float32(0.5), np.float32(1), np.float32(1 / ABOVE)
+FAR = np.float32(40)  # squared standard deviations from a part, at which it takes a billionth
 
 
 class Casters(NamedTuple):
@@ -43,6 +47,60 @@ def casters(vertices: Tensor, weights: Tensor) -> Casters:
     middles = share.T @ vertices
     away = vertices[:, None] - middles
     return Casters(middles, torch.einsum("vj,vja,vjb->jab", share, away, away))
+
+
+class Outline(NamedTuple):
+    """A body of J parts as a lamp sees it, z towards the lamp.
+
+    middles[J,3] m; shapes[J,3] in 1/m^2: xx, twice xy and yy of the inverse of the blurred covariance; the optical depth [J]
+    through the middle of each; and the `box` [5] beyond which it casts nothing: least x and y, greatest x, y and z, m.
+    """
+
+    middles: Tensor
+    shapes: Tensor
+    density: Tensor
+    box: Tensor
+
+
+def _rows_in(at: Tensor, box: Tensor) -> Tensor:
+    """Rows of points at[N,3] m, as the lamp sees them, in a `box` [5] of an outline."""
+    return ((at[:, :2] > box[:2]).all(1) & (at < box[2:]).all(1)).nonzero()[:, 0]
+
+
+def _thickness(points: Tensor, outlines: Sequence[Outline], turn: Tensor) -> Tensor:
+    """Optical depth [N] between the lamp and points[N,3] m of `outlines`, as `Shadow._thickness`: float32, CPU, no gradients."""
+    total = torch.zeros_like(points[:, 0])
+    parts = (torch.stack(list(part)) for part in zip(*outlines, strict=True))
+    _thicken(*(part.detach().contiguous().numpy() for part in (points, turn, *parts, total)))
+    return total
+
+
+@njit(cache=True, parallel=True, fastmath={"contract"})
+def _thicken(
+    points: np.ndarray,
+    turn: np.ndarray,
+    middles: np.ndarray,
+    shapes: np.ndarray,
+    density: np.ndarray,
+    boxes: np.ndarray,
+    total: np.ndarray,
+) -> None:
+    """Fill total [N] with what lies before points [N,3] of bodies of middles and shapes [B,J,3], density [B,J] and boxes [B,5]."""
+    for i in prange(len(points)):
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        x = px * turn[0, 0] + py * turn[1, 0] + pz * turn[2, 0]
+        y = px * turn[0, 1] + py * turn[1, 1] + pz * turn[2, 1]
+        z = px * turn[0, 2] + py * turn[1, 2] + pz * turn[2, 2]
+        thick = ZERO
+        for k in range(len(boxes)):
+            box = boxes[k]
+            if x > box[0] and y > box[1] and x < box[2] and y < box[3] and z < box[4]:
+                for j in range(middles.shape[1]):
+                    dx, dy, dz = middles[k, j, 0] - x, middles[k, j, 1] - y, middles[k, j, 2] - z
+                    away = shapes[k, j, 0] * dx * dx + shapes[k, j, 1] * dx * dy + shapes[k, j, 2] * dy * dy
+                    if density[k, j] > ZERO and away < FAR:
+                        thick += density[k, j] * np.exp(-HALF * away) / (ONE + np.exp(-dz * STEEP))
+        total[i] = thick
 
 
 class Shadow(nn.Module):
@@ -101,15 +159,17 @@ class Shadow(nn.Module):
         exponents = torch.stack([x * x, x * y, y * y, x, y, torch.ones_like(x)], 1) @ terms
         return (exponents.exp() * ((w - z[:, None]) / ABOVE).sigmoid()).sum(1)
 
-    def _rows_in_reach(self, points: Tensor, body: Casters, turn: Tensor) -> Tensor:
-        """Rows of points[N,3] that any part of the posed `body` may shade; `turn` [3,3] takes +z to the light."""
-        with torch.no_grad():
-            at, middles = points @ turn, body.middles @ turn
-            wide = (self.size.exp() * (turn.T @ body.covariances @ turn)).diagonal(dim1=1, dim2=2)[:, :2].amax()
-            reach = REACH * (wide + (2 * self.softness).exp()).sqrt()
-            low, high = middles[:, :2].amin(0) - reach, middles[:, :2].amax(0) + reach
-            near = (at[:, :2] > low).all(1) & (at[:, :2] < high).all(1)
-            return (near & (at[:, 2] < middles[:, 2].amax() + REACH * ABOVE)).nonzero()[:, 0]
+    @torch.no_grad()
+    def _outline(self, body: Casters, turn: Tensor) -> Outline:
+        """A posed `body` as the lamp sees it; `turn` [3,3] takes +z to the light."""
+        middles, soft = body.middles @ turn, (2 * self.softness).exp()
+        spread = self.size.exp() * (turn.T @ body.covariances @ turn)
+        a, b, c = spread[:, 0, 0] + soft, spread[:, 0, 1], spread[:, 1, 1] + soft
+        shapes = torch.stack([c, -2 * b, a], 1) / (a * c - b * b)[:, None]
+        there = body.covariances.diagonal(dim1=1, dim2=2).sum(1) > 0
+        reach, low, high = REACH * torch.maximum(a, c).amax().sqrt(), middles.amin(0), middles.amax(0)
+        box = torch.cat([low[:2] - reach, high[:2] + reach, high[2:] + REACH * ABOVE])
+        return Outline(middles, shapes, self.density.exp() * there, box)
 
     def light_left(self, points: Tensor, bodies: Sequence[Casters]) -> Tensor:
         """Share [N] of the light that reaches points[N,3] m past posed `bodies`, from 1 - darkness to 1.
@@ -117,7 +177,11 @@ class Shadow(nn.Module):
         What lies behind two is behind more.
         """
         turn = rotation_z_to(self.light())
-        reach = [self._rows_in_reach(points, body, turn) for body in bodies]
+        outlines = [self._outline(body, turn) for body in bodies]
+        learned = torch.is_grad_enabled() and any(part.requires_grad for part in self.parameters())
+        if not learned and points.dtype == torch.float32 and points.device.type == "cpu":
+            return self._share(_thickness(points, outlines, turn))
+        reach = [_rows_in(points.detach() @ turn.detach(), outline.box) for outline in outlines]
         thick = [self._thickness(points[rows], body, turn) for rows, body in zip(reach, bodies, strict=True)]
         if len(bodies) == 1:  # the exponential of what is shaded alone
             return torch.ones_like(points[:, 0]).index_put((reach[0],), self._share(thick[0]))

@@ -161,3 +161,22 @@ def test_what_is_said_of_it_makes_it_again(held):
     said = shadow.known()
     again = Shadow(torch.as_tensor(said.pop("light")), **said)
     held((again.light_left(floor(), [body()]) - shadow.light_left(floor(), [body()])).abs().max().item(), 1e-6)
+
+
+def test_without_gradients_it_is_the_same_shadow(held):
+    """The kernel against plain torch, of two bodies that share some of it, and where nothing falls."""
+    shadow, points = leaning([0.3, 0.2]).float(), floor(61, 3.0).float()
+    bodies = [Casters(*(t.float() for t in body())), Casters(*(t.float() for t in body(0.3, 0.2)))]
+    assert shadow.light_left(points, bodies).requires_grad
+    with torch.no_grad():
+        quick, exact = (
+            shadow.light_left(points, bodies),
+            leaning([0.3, 0.2]).light_left(points.double(), bodies_of(bodies)),
+        )
+    held((quick - exact).abs().max().item(), 2e-6)
+    assert quick.min() < 0.5 and (quick == 1).any()
+
+
+def bodies_of(bodies: list[Casters]) -> list[Casters]:
+    """The same in double precision, for which there is no kernel."""
+    return [Casters(*(part.double() for part in one)) for one in bodies]
