@@ -77,13 +77,14 @@ def _cameras(
     job: Job, film: Params, count: int, setting: Setting, cast: Sequence[Actor]
 ) -> tuple[str, Sequence[Camera]]:
     """The kind of the film's cameras, of a plan the first of VIEWS that shows all people, and the cameras; says what they lack."""
-    from stages.filming.framing import faults, framed, framings
+    from stages.filming.framing import faults, framed, framings, shows
 
     lacks: dict[str, list[str]] = {}
     for kind in VIEWS if film.plan else (film.camera,):
         cameras, fact = framed(kind, count, film.fps, film.size, setting, cast)
-        lacks[kind] = faults(framings(cameras, film.fps, setting, cast), cast)
-        if not lacks[kind]:
+        seen = framings(cameras, film.fps, setting, cast)
+        lacks[kind] = faults(seen, cast)
+        if shows(seen):
             break
     for other in list(lacks)[:-1]:
         job.note(f"not `camera: {other}`: {'; '.join(lacks[other])}", at_once=True)

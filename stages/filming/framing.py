@@ -16,7 +16,7 @@ from stages.filming.setting import Setting
 
 EVERY = 0.2  # s between the pictures that are looked at
 FRAMES = 15  # of the clip that may be the camera
-CUT, BACKS = 0.1, 0.6  # of the pictures: more is too much
+SAID, CUT, BACKS = 0.05, 0.25, 0.6  # of the pictures: more is said, and in how many cuts, and backs, are too much
 SOLE = 0.06  # m under a foot's joint
 MARGIN, WIDEST, TURNS = (
     1.15,
@@ -119,17 +119,22 @@ def _framing(joints: np.ndarray, scale: float, up: np.ndarray, cameras: Sequence
     return Framing(*(float(part.mean()) for part in (head, feet, gone, back)))
 
 
+def shows(seen: Sequence[Framing]) -> bool:
+    """Whether people are whole and seen from the front in most of the pictures."""
+    return max(one.cut for one in seen) <= CUT and backs(seen) <= BACKS
+
+
 def backs(seen: Sequence[Framing]) -> float:
     """In which share of the pictures backs are seen, in the mean of all people."""
     return float(np.mean([one.back for one in seen]))
 
 
 def faults(seen: Sequence[Framing], cast: Sequence[Actor]) -> list[str]:
-    """Sentences about people whom the camera cuts off in more than CUT of the pictures, and about backs in more than BACKS."""
+    """Sentences about people whom the camera cuts off in more than SAID of the pictures, and about backs in more than BACKS."""
     found = []
     for one, actor in zip(seen, cast, strict=True):
         parts = {"their head": one.head, "their feet": one.feet, "all of them": one.gone}
-        told = [f"{part} in {100 * share:.0f} %" for part, share in parts.items() if share > CUT]
+        told = [f"{part} in {100 * share:.0f} %" for part, share in parts.items() if share > SAID]
         if told:
             found.append(f"the camera cuts off {actor.name}: {', '.join(told)} of the pictures")
     if (share := backs(seen)) > BACKS:
