@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from stages.estimators.bodyfit.inputs import Inputs
     from stages.estimators.bodyfit.metre import Metre
     from stages.estimators.bodyfit.reporting import Fitted
+    from stages.gestures import HandPoses
     from stages.records import BodyPoses
 
 LOADS = contract.ADAM
@@ -61,11 +62,12 @@ def run(
     landmarks: Path | None = None,
     body_model: Path | None = None,
 ) -> None:
-    """Write body.npz, body_model.npz, ground.json, smpl.json, and landmarks.npz if the poses were estimated here.
+    """Write body.npz, hands.npz, body_model.npz, ground.json, smpl.json, and landmarks.npz if the poses were estimated here.
 
     Poses come from `smpl_fit`, from the fit that a data set brought along, or from `landmarks`, else BlazePose's, and the masks.
-    Frames without a person are filled in between their neighbours with confidence 0. Of further people body.npz, smpl.json and
-    landmarks.npz are in people/2 and so on, in the world of the first. Raises StageError if nearly no frame shows a person.
+    Frames without a person are filled in between their neighbours with confidence 0. Of further people body.npz, hands.npz,
+    smpl.json and landmarks.npz are in people/2 and so on, in the world of the first. Raises StageError if nearly no frame shows
+    a person.
     """
     import numpy as np
 
@@ -100,8 +102,7 @@ def run(
     for person, own, fit, stature in zip(people, jobs, fits, statures, strict=True):
         if person == 1 or fit.model is not fits[0].model:
             write_body_model(folder_of(job.out, person) / "body_model.npz", fit.model)
-        hands = look_at_hands(own, folder_of(job.out, person), sfm, fit, clip)
-        write_person(own, params, folder_of(job.out, person), fit, metre, stature, hands)
+        write_person(own, params, folder_of(job.out, person), fit, metre, stature)
     for doubt in metre.doubts:
         job.warn(doubt)
     ground = floor_of(clip, *((fit.model, fit.poses) for fit in fits))
@@ -131,15 +132,16 @@ def fit_person(
     smpl_fit, landmarks = given
     if smpl_fit is not None:
         poses, facts = import_poses(job, smpl_fit, clip, metres)
+        poses, hands = look_at_hands(sfm, clip, poses, held=True)
         quality = measure_quality(poses, clip.model, clip.cameras, clip.times, clip.clear)
     else:
         fit, evidence, facts = estimate_poses(job, folder, sfm, clip, landmarks, metres)
-        poses = fit.poses
+        poses, hands = look_at_hands(sfm, clip, fit.poses, held=False)
         quality = measure_quality(poses, clip.model, clip.cameras, clip.times, clip.clear, evidence, fit.pixels)
     poses = replace(poses, confidence=quality.confidence)
     if metres is not None:  # it was held, but for rounding
         poses = replace(poses, world_from_sfm=metres)
-    return Fitted(clip.model, poses, quality, facts)
+    return Fitted(clip.model, poses, quality, facts, hands)
 
 
 def in_metres(fit: Fitted, factor: float, world: float, clip: Inputs) -> Fitted:
@@ -155,40 +157,43 @@ def in_metres(fit: Fitted, factor: float, world: float, clip: Inputs) -> Fitted:
             name: {way: [round(factor * mm) for mm in each] for way, each in frame.items()}
             for name, frame in errors.items()
         }
-    return replace(fit, model=model, poses=poses, facts=facts)
+    hands = fit.hands and replace(fit.hands, error=factor * fit.hands.error)
+    return replace(fit, model=model, poses=poses, facts=facts, hands=hands)
 
 
-def look_at_hands(job: Job, folder: Path, sfm: Path, fit: Fitted, clip: Inputs) -> dict[str, Any]:
-    """Write hands.npz of a person whose body has fingers, and report it; facts for smpl.json."""
-    from stages.estimators.hands.clip import facts_of, hands_of, what_is_read
-    from stages.formats.hands import write_hands
+def look_at_hands(sfm: Path, clip: Inputs, poses: BodyPoses, held: bool) -> tuple[BodyPoses, HandPoses | None]:
+    """The fingers of a body that has some, and the poses with arms turned to the palms that are seen, unless they are `held`."""
+    from stages.estimators.hands.arms import arms_to_palms
+    from stages.estimators.hands.clip import hands_of
     from stages.formats.hands_face import read_hands_face
     from stages.formats.images import read_image
 
-    if (rig := read_hands_face(fit.model)) is None:
-        return {}
-    names = clip.cameras.names
-    hands = hands_of(
-        rig, fit.model, fit.poses, clip.cameras, clip.times, lambda i: read_image(sfm / "images" / f"{names[i]}.png")
-    )
-    write_hands(folder / "hands.npz", hands)
-    job.note(what_is_read(hands))
-    return {"hands": facts_of(hands)}
+    if (rig := read_hands_face(clip.model)) is None:
+        return poses, None
+    pictures = [sfm / "images" / f"{name}.png" for name in clip.cameras.names]
+    hands, palms = hands_of(rig, clip.model, poses, clip.cameras, clip.times, lambda i: read_image(pictures[i]))
+    if palms.read.any() and not held:
+        poses = arms_to_palms(clip.model, poses, clip.cameras, clip.times, palms)
+    return poses, hands
 
 
-def write_person(
-    job: Job, params: Params, folder: Path, fit: Fitted, metre: Metre, looks: float, more: dict[str, Any]
-) -> None:
-    """Write body.npz and smpl.json, with `more` facts, of a person and report them, who `looks` so many m tall as long as no length
-    is given."""
+def write_person(job: Job, params: Params, folder: Path, fit: Fitted, metre: Metre, looks: float) -> None:
+    """Write body.npz, hands.npz and smpl.json of a person and report them, who `looks` so many m tall without a given length."""
     from stages.estimators.bodyfit.reporting import report, summary, warn_of_scale
+    from stages.estimators.hands.clip import facts_of, what_is_read
+    from stages.formats.hands import write_hands
     from stages.formats.poses import write_poses
 
     write_poses(folder / "body.npz", fit.poses)
     warn_of_scale(job, fit.facts["scale"])
     report(job, params.doubtful, fit, metre, looks)
     size = {"how": metre.how, "error": metre.error, "times_fit": metre.factors[0], "stature_of_fit_m": round(looks, 4)}
-    write_facts(folder / "smpl.json", {**fit.facts, **summary(params.doubtful, fit), "metre": size, **more})
+    facts = {**fit.facts, **summary(params.doubtful, fit), "metre": size}
+    if fit.hands is not None:
+        write_hands(folder / "hands.npz", fit.hands)
+        job.note(what_is_read(fit.hands))
+        facts["hands"] = facts_of(fit.hands)
+    write_facts(folder / "smpl.json", facts)
 
 
 def import_poses(job: Job, smpl_fit: Path, clip: Inputs, metres: float | None) -> tuple[BodyPoses, dict[str, Any]]:

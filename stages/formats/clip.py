@@ -12,6 +12,7 @@ import numpy as np
 from stages.contract import StageError
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras
+from stages.formats.hands import read_hands
 from stages.formats.images import Kept, read_image, read_mask
 from stages.formats.people import folder_of, masks_of, model_of, people_of
 from stages.formats.points import read_points
@@ -39,6 +40,8 @@ class Clip:
     body: BodyPoses
     body_model: BodyModel
     person: int = 1
+    hands: np.ndarray | None = None
+    """The pose [2,15,3] rad of the fingers that the clip shows, 0 for a hand that is not read; None: none is."""
     alone: bool = False
     """Masks are of `person`, and not of everybody."""
     kept: Kept | None = None
@@ -161,4 +164,11 @@ def load_clip(sfm: Path, smpl: Path, train: Path | None = None, person: int = 1)
         body=ordered,
         body_model=read_body_model(model_of(smpl, person)),
         person=person,
+        hands=_shape(folder_of(smpl, person) / "hands.npz"),
     )
+
+
+def _shape(path: Path) -> np.ndarray | None:
+    """The shape of the hands that a hands.npz has; None without the file, and where no hand was read."""
+    hands = read_hands(path) if path.is_file() else None
+    return hands.shape if hands is not None and hands.read.any() else None

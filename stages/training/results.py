@@ -20,7 +20,7 @@ from stages.avatar.model.scene import SceneModel
 from stages.avatar.splats.gaussians import finite_rows
 from stages.formats.clip import Clip
 from stages.formats.hands_face import read_hands_face
-from stages.records import Avatar, BodyModel, BodyPoses, Cameras, Clothes, Effects, Scene
+from stages.records import Avatar, BodyPoses, Cameras, Clothes, Effects, Scene
 from stages.training.finishing.bake import COUNTED, Finished, as_trained, finish
 from stages.training.finishing.hidden import fill_hidden
 from stages.training.finishing.settle import settle
@@ -165,17 +165,19 @@ def _person(fit: Fit, who: PersonLearner, clip: Clip, say: Finishing) -> tuple[A
         say.note(f"{counts['lining']:,} Gaussians put {under}, so that new poses tear no holes there")
     poses = replace(clip.body, global_orient=_array(orient), body_pose=_array(body_pose), transl=_array(transl))
     avatar = _avatar(kept, who, body, clip.body.betas, fit.options.antialias)
-    return _with_gestures(avatar, clip.body_model, say), poses, counts
+    return _with_gestures(avatar, clip, say), poses, counts
 
 
-def _with_gestures(avatar: Avatar, body: BodyModel, say: Finishing) -> Avatar:
-    """The avatar with the fingers and the face of its body, where that has any."""
-    rig = read_hands_face(body)
+def _with_gestures(avatar: Avatar, clip: Clip, say: Finishing) -> Avatar:
+    """The avatar with the fingers, as the clip shows them, and the face of its body, where that has any."""
+    rig = read_hands_face(clip.body_model)
     if rig is None:
-        say.note(f"no fingers and no face that moves: the body model {body.name} has none, the free body has")
+        say.note(
+            f"no fingers and no face that moves: the body model {clip.body_model.name} has none, the free body has"
+        )
         return avatar
     try:
-        return attach(avatar, body, rig)
+        return attach(avatar, clip.body_model, rig, clip.hands)
     except UNFINISHED as error:
         say.warn(f"the person got no fingers and no face that moves: {error}")
         return avatar

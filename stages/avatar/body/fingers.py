@@ -37,6 +37,15 @@ def finger_bones(joints: Tensor, hands: Tensor, bones: Tensor) -> Tensor:
     return torch.stack([first, second, second @ own[..., 2, :, :]], -3).flatten(-5, -3)
 
 
+def bent_skin(rig: gestures.HandsFace, vertices: Tensor, hands: Tensor) -> Tensor:
+    """The free body's `vertices` [V,3] at rest with its fingers in a pose of `hands` [2,15,3] rad."""
+    own = torch.as_tensor(rig.finger_weights).to(vertices)
+    joints, _ = finger_joints(rig, vertices)
+    moved = finger_bones(joints, hands, torch.eye(4).to(vertices).expand(24, 4, 4))[:, :3].flatten(1)
+    blend = (own @ moved).unflatten(1, (3, 4))
+    return (1 - own.sum(1, keepdim=True)) * vertices + (blend[..., :3] @ vertices[..., None])[..., 0] + blend[..., 3]
+
+
 def flat_hands(joints: Tensor, tips: Tensor) -> Tensor:
     """The pose [2,15,3] rad in which fingers that rest at `joints` [30,3], `tips` [10,3] m, are straight in the palm's plane."""
     above, own = _straightening(joints, tips)

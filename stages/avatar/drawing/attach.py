@@ -10,7 +10,7 @@ from torch import Tensor
 
 from stages import gestures, records
 from stages.avatar.body.face import face_at
-from stages.avatar.body.fingers import finger_bones, finger_joints
+from stages.avatar.body.fingers import bent_skin, finger_joints
 from stages.avatar.body.joints import HANDS, HEAD
 from stages.avatar.body.skinning import knn_weights
 from stages.avatar.body.smpl import Body
@@ -54,11 +54,7 @@ def _fingers(
     """Each Gaussian of a hand shares its weight there as the vertices around do, where the hand is in `shape`."""
     own = torch.as_tensor(rig.finger_weights)
     skin = (limbs[:, list(HANDS)].sum(1) > 0).nonzero()[:, 0]
-    own, limbs, vertices = own[skin], limbs[skin], vertices[skin]
-    moved = finger_bones(joints, shape, torch.eye(4).expand(24, 4, 4))[:, :3].flatten(1)
-    blend = (own @ moved).unflatten(1, (3, 4))
-    left = 1 - own.sum(1, keepdim=True)
-    posed = left * vertices + (blend[..., :3] @ vertices[..., None])[..., 0] + blend[..., 3]
+    own, limbs, posed = own[skin], limbs[skin], bent_skin(rig, vertices, shape)[skin]
     rows = (weights[:, list(HANDS)].sum(1) > HELD).nonzero()[:, 0]
     near = knn_weights(means[rows], posed, torch.cat([limbs, own], 1), NEAR)
     hand, found = near[:, list(HANDS)], near[:, limbs.shape[1] :].unflatten(1, (2, 15))

@@ -13,6 +13,7 @@ from stages.contract import Job
 from stages.estimators.bodyfit.metre import BY_BODY, Metre, stature_of
 from stages.estimators.bodyfit.quality import FitQuality
 from stages.estimators.words import listed
+from stages.gestures import HandPoses
 from stages.records import BodyModel, BodyPoses, Ground
 
 STOCKY, EXTREME_BETA = (1.4, 2.15), 5.0  # m; a stature or shape outside these is worth a warning
@@ -22,12 +23,13 @@ BETTER = "look at them in the report; `--smpl-fit` takes a better fit"
 
 @dataclass(frozen=True)
 class Fitted:
-    """One person's fit: `facts` are those of smpl.json."""
+    """One person's fit: `facts` are those of smpl.json; `hands` are None where the body has no fingers."""
 
     model: BodyModel
     poses: BodyPoses
     quality: FitQuality
     facts: dict[str, Any]
+    hands: HandPoses | None = None
 
 
 def warn_of_scale(job: Job, scale: dict[str, Any]) -> None:

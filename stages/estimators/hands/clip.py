@@ -12,8 +12,9 @@ from stages.avatar.body.fingers import finger_joints
 from stages.avatar.body.joints import WRISTS
 from stages.avatar.body.smpl import Body
 from stages.estimators.hands.angles import HandAngles
+from stages.estimators.hands.arms import SeenPalms
 from stages.estimators.hands.bending import bend
-from stages.estimators.hands.network import POINTS
+from stages.estimators.hands.network import PALM, POINTS
 from stages.estimators.hands.seeing import LEAST, looked_for, places, seen_hands, sure_hands
 from stages.gestures import HandPoses, HandsFace
 from stages.records import BodyModel, BodyPoses, Cameras
@@ -31,23 +32,24 @@ def hands_of(
     cameras: Cameras,
     times: np.ndarray,
     image: Callable[[int], np.ndarray],
-) -> HandPoses:
-    """The fingers of a fitted free body, whose `rig` is of its size, at `times` [F] s; `image` gives a picture, uint8 [H,W,3].
+) -> tuple[HandPoses, SeenPalms]:
+    """The fingers of a fitted free body, whose `rig` is of its size, at `times` [F] s, and where its palms are seen.
 
-    A hand that fewer than ENOUGH frames show keeps the body's fingers at rest. Raises StageError if a hand is large enough to be
-    looked at and the network has not been fetched.
+    `image` gives a picture, uint8 [H,W,3]. A hand that fewer than ENOUGH frames show keeps the body's fingers at rest. Raises
+    StageError if a hand is large enough to be looked at and the network has not been fetched.
     """
     size, count = (cameras.width, cameras.height), len(poses)
     where = places(model, poses, cameras)
     found = seen_hands(image, where, looked_for(where, size) & (poses.confidence > 0)[:, None])
     read = sure_hands(found, where, size)
     read &= read.sum(0) >= ENOUGH
+    hand = right_hand(rig, model, poses.betas)
     turns, shape, error = np.zeros((count, 2, 15, 3)), np.zeros((2, 15, 3)), np.zeros((count, 2))
+    points, facing, world = np.zeros((count, 2, 5, 2)), np.zeros((count, 2, 3, 3)), np.zeros((2, count, POINTS, 3))
+    for i, s in zip(*np.nonzero(read)):
+        world[s, i] = found[i][s].world * MIRROR[s]
+        points[i, s] = found[i][s].xy[list(PALM)]
     if read.any():
-        world = np.zeros((2, count, POINTS, 3))
-        for i, s in zip(*np.nonzero(read)):
-            world[s, i] = found[i][s].world * MIRROR[s]
-        hand = right_hand(rig, model, poses.betas)
         bent = bend(hand, world, read.T, times)
         read = bent.fits.T & (bent.fits.T.sum(0) >= ENOUGH)
         for s in np.flatnonzero(read.any(0)):
@@ -55,14 +57,23 @@ def hands_of(
             turns[:, s] = hand.rotvecs(bent.angles[s]).numpy() * TURNED[s]
             shape[s] = hand.rotvecs(middle).numpy() * TURNED[s]
             error[:, s] = bent.error[s]
-    return HandPoses(poses.names, turns, shape, read, error, where.lengths)
+            facing[:, s] = MIRROR[s][:, None] * bent.turns[s] * MIRROR[s]
+    hands = HandPoses(poses.names, turns, shape, read, error, where.lengths)
+    return hands, SeenPalms(points, facing, read, where.lengths, palms_of(rig, model, poses.betas))
 
 
 def right_hand(rig: HandsFace, model: BodyModel, betas: np.ndarray) -> HandAngles:
     """The bones of the right hand of a free body with `betas` [10]."""
     vertices, joints = Body(model).rest(torch.tensor(betas, dtype=torch.float32))
-    fingers, tips = finger_joints(rig, vertices)
-    return HandAngles(joints[WRISTS[1]].numpy(), fingers[15:].numpy(), tips[5:].numpy())
+    fingers, tips = (part.numpy() for part in finger_joints(rig, vertices))
+    return HandAngles(joints[WRISTS[1]].numpy(), fingers[15:], tips[5:])
+
+
+def palms_of(rig: HandsFace, model: BodyModel, betas: np.ndarray) -> np.ndarray:
+    """Both palms' points [2,5,3] m of a free body at rest: the wrist, and where four fingers begin, as the network has them."""
+    vertices, joints = Body(model).rest(torch.tensor(betas, dtype=torch.float32))
+    roots = finger_joints(rig, vertices)[0].unflatten(0, (2, 15))[:, [0, 3, 9, 6]]
+    return torch.cat([joints[list(WRISTS), None], roots], 1).numpy()
 
 
 def what_is_read(hands: HandPoses) -> str:

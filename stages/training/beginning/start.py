@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from stages.avatar.body.fingers import bent_skin
 from stages.avatar.body.hull import CELL
 from stages.avatar.body.smpl import DA_POSE, Body
 from stages.avatar.effects.frames import FrameEffects
@@ -26,7 +27,7 @@ from stages.avatar.splats.neighbours import spread_evenly
 from stages.avatar.splats.sh import sh_from_rgb
 from stages.contract import StageError
 from stages.formats.clip import Clip
-from stages.records import BodyPoses
+from stages.formats.hands_face import read_hands_face
 from stages.training.beginning.cloth import clothed
 from stages.training.beginning.init_colors import seen_colors
 from stages.training.settings import Params
@@ -119,7 +120,7 @@ class _Start:
     def fit(self) -> Fit:
         clip, on = self.clip, self.decisions
         views = self._views()
-        bodies = [self._person(one.body) for one in self.clips]
+        bodies = [self._person(one) for one in self.clips]
         people = [self._starting(*one, views) for one in zip(bodies, self._outlines(views, bodies), strict=True)]
         extent = scene_extent(self._tensor(clip.viewmats).cpu(), self._tensor(clip.points).cpu())
         scene = self._scene(bodies, extent) if on.get("scene", True) and len(clip.points) else None
@@ -172,12 +173,16 @@ class _Start:
         body = self._clothed(body, views, outline)
         return Starting(body, self._human(body, views, outline), outline)
 
-    def _person(self, fitted: BodyPoses) -> FittedBody:
-        model = self.clip.body_model
+    def _person(self, clip: Clip) -> FittedBody:
+        model, fitted = clip.body_model, clip.body
         body, betas = Body(model), torch.as_tensor(fitted.betas, dtype=torch.float32)
         # clothes hang at rest: legs apart would pull a skirt apart
         pose = torch.zeros_like(DA_POSE) if self.decisions.get("clothing", False) else DA_POSE
         vertices, _ = body(betas, torch.zeros(1, 3), pose[None], torch.zeros(1, 3))
+        rig = None if clip.hands is None else read_hands_face(model)
+        if rig is not None:  # the canonical pose leaves arms as they are at rest
+            rest, _ = body.rest(betas)
+            vertices = vertices + bent_skin(rig, rest, torch.as_tensor(clip.hands).float()) - rest
         return FittedBody(
             self._tensor(fitted.global_orient),
             self._tensor(fitted.body_pose),

@@ -9,8 +9,10 @@ import pytest
 from stages.contract import StageError
 from stages.formats.cameras import read_cameras, write_cameras
 from stages.formats.clip import load_clip
+from stages.formats.hands import write_hands
 from stages.formats.images import write_image
 from stages.formats.poses import read_poses, write_poses
+from stages.gestures import HandPoses
 from tests.made import tiny as tiny_clip
 from tests.made.said import holds
 
@@ -70,3 +72,14 @@ def test_a25_a_picture_of_another_size_is_refused(tiny, tmp_path):
     with pytest.raises(StageError, match=r"images/000003\.png") as refused:
         clip.images(1)
     assert holds(*refused.value.facts, "48x64", "96x128")
+
+
+def test_the_shape_of_hands_that_were_read_is_the_clips(tiny, tmp_path):
+    assert load_clip(tiny["sfm"], tiny["smpl"]).hands is None
+    smpl, names = shutil.copytree(tiny["smpl"], tmp_path / "smpl"), tiny_clip.NAMES
+    shape, each = np.full((2, 15, 3), 0.1), np.zeros((len(names), 2))
+    hands = HandPoses(names, np.zeros((len(names), 2, 15, 3)), shape, each > 0, each, each)
+    write_hands(smpl / "hands.npz", hands)
+    assert load_clip(tiny["sfm"], smpl).hands is None
+    write_hands(smpl / "hands.npz", replace(hands, read=each == 0))
+    assert np.array_equal(load_clip(tiny["sfm"], smpl).hands, shape)

@@ -70,6 +70,7 @@ class Fitted:
     names: tuple[str, ...]
     body: BodyPoses
     body_model: BodyModel
+    hands: np.ndarray | None = None
 
 
 def fitted(person) -> Fitted:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from stages.avatar.body.fingers import finger_bones, finger_joints, flat_hands, from_flat
+from stages.avatar.body.fingers import bent_skin, finger_bones, finger_joints, flat_hands, from_flat
 from stages.avatar.body.rotations import matrix_from_rotvec
 from stages.avatar.body.smpl import Body, rest_relative_transforms
 from stages.formats.body_model import read_body_model
@@ -86,3 +86,10 @@ def test_gradients_are_right(free):
     bones = torch.eye(4, dtype=torch.float64).repeat(24, 1, 1)
     hands = torch.randn(2, 15, 3, generator=torch.Generator().manual_seed(1)).double().requires_grad_()
     assert torch.autograd.gradcheck(lambda h: finger_bones(joints, h, bones)[::4, :3, 3], hands, fast_mode=True)
+
+
+def test_bent_skin_is_the_skinned_body(free):
+    hands = 0.5 * torch.randn(2, 15, 3, generator=torch.Generator().manual_seed(1)).double()
+    bent = bent_skin(free[1], free[2], hands)
+    assert torch.allclose(bent, posed(free, hands), atol=1e-5) and (bent - free[2]).norm(dim=1).max() > 0.02
+    assert torch.equal(bent_skin(free[1], free[2], 0 * hands), free[2])

@@ -40,7 +40,7 @@ def seen_with(x, world):
 
 
 def found():
-    return clip.hands_of(RIG, MODEL, POSES, CAMERAS, TIMES, lambda i: np.zeros((300, 400, 3), np.uint8))
+    return clip.hands_of(RIG, MODEL, POSES, CAMERAS, TIMES, lambda i: np.zeros((300, 400, 3), np.uint8))[0]
 
 
 def test_a_left_hand_is_the_mirror_image_of_a_right_one(monkeypatch):
