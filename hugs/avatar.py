@@ -102,7 +102,8 @@ class Avatar:
     @cached_property
     def motions(self) -> Motions:
         """Motions by name: "clip", of a run, and made ones on the floor, such as "walk_in_place"."""
-        return Motions(Soles.of_rig(rig_of(self.record)), self.floor or LEVEL, self.clip)
+        gestured = self.record.fingers is not None and self.record.face is not None
+        return Motions(Soles.of_rig(rig_of(self.record)), self.floor or LEVEL, self.clip, gestured)
 
     def changed(self, **parts: Tensor) -> Avatar:
         """The same person with other Gaussians: `means` [N,3] m, `axes` [N,3,3] m, `opacities` [N] or `sh` [N,K,3] of `rest`.

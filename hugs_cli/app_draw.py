@@ -117,6 +117,7 @@ def animate(
         float | None, Option(min=0.1, max=10_000, help="Frames a second of the motion; the file's if none.")
     ] = None,
     up: Annotated[options.Up | None, Option(help="Up in the file; where pelvises point if none.")] = None,
+    face: Annotated[Path | None, Option(help="A face capture (csv): a time and the 52 shapes.")] = None,
     force: Overwrite = False,
     pipeline: AnyPipeline = None,
     device: DeviceName = options.Device.auto,
@@ -139,16 +140,16 @@ def animate(
         finished(video, work, pipeline, *films.STAGES)
         run_folder = Workspace(video, work, pipeline).links
     views = Path(camera) if camera and films.is_path("camera", camera) else None
-    check_files(motion, views, avatar, None if scene is None or scene.is_dir() else scene)
+    check_files(motion, face, views, avatar, None if scene is None or scene.is_dir() else scene)
     if only is options.Only.scene:
         raise UsageError("a scene alone does not move", "`--only human` or `--only both`")
     name = clip_name(video) if video else Path(avatar or "avatar").stem
     out = out or Path(f"{name}-{motion.stem}.mp4" if who == 1 else f"{name}-{who}-{motion.stem}.mp4")
     person: dict[str, Any] = {"avatar": run_folder or avatar, "who": who, "motion": str(motion)}
-    person |= {"motion_fps": motion_fps, "up": up and up.value}
+    person |= {"motion_fps": motion_fps, "up": up and up.value, "face": face}
     film: dict[str, Any] = {"fps": fps, "only": only.value, "out": {"film": out}, "scene_axes": scene_axes.value}
     film |= staged(person, scene, at, camera)
-    console, given = Console(), [path for path in (video, motion, views, avatar, scene) if path is not None]
+    console, given = Console(), [path for path in (video, motion, face, views, avatar, scene) if path is not None]
     for path in animated(film, device.value, work, force, given, console):
         console.result(words.relative(path))
 

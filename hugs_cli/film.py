@@ -108,6 +108,7 @@ def check_sources(film: Any) -> list[Path]:
             check_together(who, path)
         read.append(path)
     files = [Path(person.motion) for person in people if is_path("motion", person.motion)]
+    files += [person.face for person in people if person.face]
     files += [Path(film.camera)] if is_path("camera", film.camera) else []
     files += [film.gaussians] if film.gaussians else []
     for file in files:

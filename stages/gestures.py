@@ -1,4 +1,4 @@
-"""Records of fingers and faces, as `records` has those of all else: plain arrays with names, shapes and units."""
+"""Records of fingers, faces and motions, as `records` has those of all else: plain arrays with names, shapes and units."""
 
 from __future__ import annotations
 
@@ -43,13 +43,14 @@ class HandsFace:
 
 @dataclass(frozen=True)
 class Fingers:
-    """The 30 finger bones of an avatar, as FINGER_NAMES: joints[30,3] m at rest, where all fingers have the pose 0.
+    """The 30 finger bones of an avatar, as FINGER_NAMES: joints[30,3] and tips[10,3] m at rest, where all fingers have the pose 0.
 
     `shape` [2,15,3] rad is the pose in which the hands lie in the avatar; shares[M,30] is what of the weights of its Gaussians
     `rows` [M] goes from joints 22 and 23 to the fingers. Without a pose of hands they stay with those joints.
     """
 
     joints: np.ndarray
+    tips: np.ndarray
     shape: np.ndarray
     rows: np.ndarray
     shares: np.ndarray
@@ -79,3 +80,19 @@ class HandPoses:
     read: np.ndarray
     error: np.ndarray
     length: np.ndarray
+
+
+@dataclass(frozen=True)
+class Move:
+    """A motion in the world of a clip, F poses at `fps` frames a second.
+
+    `rotvecs` [F,72] rad, the root's first, and `steps` [F,3] m: global_orient, body_pose and transl of `BodyPoses`. `hands`
+    [F,2,15,3] rad, as FINGER_NAMES, and coefficients `face` [F,52], as FACE_NAMES, where it has some.
+    """
+
+    name: str
+    fps: float
+    rotvecs: np.ndarray
+    steps: np.ndarray
+    hands: np.ndarray | None = None
+    face: np.ndarray | None = None

@@ -280,19 +280,6 @@ class Mesh:
 
 
 @dataclass(frozen=True)
-class Move:
-    """A motion in the world of a clip, F poses at `fps` frames a second.
-
-    `rotvecs` [F,72] rad, the root's first, and `steps` [F,3] m: global_orient, body_pose and transl of `BodyPoses`.
-    """
-
-    name: str
-    fps: float
-    rotvecs: np.ndarray
-    steps: np.ndarray
-
-
-@dataclass(frozen=True)
 class Take:
     """What a rig does for a while: y up, on the floor and at the place where it stands in the T-pose.
 

@@ -115,7 +115,7 @@ def names_of(film: Film) -> list[str]:
 
 
 def _check_endings(film: Film) -> None:
-    from stages.avatar.motion.formulas import MOTIONS
+    from stages.avatar.motion.formulas import GESTURED, MOTIONS
     from stages.filming.cameras import AUTO, KINDS
     from stages.filming.outputs import check_splats
 
@@ -128,8 +128,8 @@ def _check_endings(film: Film) -> None:
     if film.out.splats is not None:
         check_splats(film.out.splats)
     for person in film.people:
-        if not Path(person.motion).suffix and person.motion not in ("clip", *MOTIONS):
-            hint = f"a .bvh or .npz, or one of clip, {', '.join(MOTIONS)}"
+        if not Path(person.motion).suffix and person.motion not in ("clip", *MOTIONS, *GESTURED):
+            hint = f"a .bvh or .npz, or one of clip, {', '.join(MOTIONS | GESTURED)}"
             raise StageError(f"no motion {person.motion!r}", hint)
     if not Path(film.camera).suffix and film.camera not in (AUTO, *KINDS):
         raise StageError(f"no camera {film.camera!r}", f"an .npz of cameras, or one of {AUTO}, {', '.join(KINDS)}")

@@ -15,7 +15,7 @@ from stages.avatar.body.smpl import Body
 from stages.avatar.drawing.avatar import Baked, PosedAvatar, load_avatar
 from stages.avatar.drawing.rig import rig_of
 from stages.avatar.effects.shadow import Casters
-from stages.avatar.motion.formulas import MOTIONS
+from stages.avatar.motion.formulas import GESTURED, MOTIONS
 from stages.avatar.motion.moves import by_formula
 from stages.avatar.motion.placing import Placed, Soles, put
 from stages.avatar.motion.takes import SECONDS
@@ -29,6 +29,7 @@ from stages.formats.body_model import read_body_model
 from stages.formats.exchange.read import lacks, read_any_avatar
 from stages.formats.facts import Listing, read_facts
 from stages.formats.ground import read_ground
+from stages.formats.motions.face_csv import read_face
 from stages.formats.people import model_of
 from stages.formats.poses import read_poses
 from stages.formats.splats import read_avatar
@@ -71,14 +72,15 @@ class Actor:
         row, count = picture - self.first, len(self.transl)
         return row % count if self.loop else min(max(row, 0), count - 1)
 
-    def pose(self, picture: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The pose that a picture shows."""
-        row = self.row(picture)
-        return self.global_orient[row], self.body_pose[row], self.transl[row]
+    def pose(self, picture: int) -> tuple[np.ndarray | None, ...]:
+        """The pose that a picture shows: of the body, of hands and of the face, None where these do not move."""
+        parts = self.global_orient, self.body_pose, self.transl, self.placed.hands, self.placed.face
+        return tuple(None if part is None else part[self.row(picture)] for part in parts)
 
     def cloth(self, picture: int) -> torch.Tensor:
         """The bones of their clothes [K,4,4] that a picture shows."""
-        return self.posed.bones[self.row(picture), len(self.baked.parents) :]
+        first, count = len(self.baked.parents), 0 if self.baked.clothing is None else len(self.baked.clothing)
+        return self.posed.bones[self.row(picture), first : first + count]
 
     def shown(self, picture: int) -> bool:
         """Always: a person of a film is in all its pictures."""
@@ -115,7 +117,8 @@ class Actor:
     @cached_property
     def posed(self) -> PosedAvatar:
         """The person in each pose of the motion, as large as they are."""
-        return PosedAvatar.of(self.baked, self.global_orient, self.body_pose, self.transl)
+        hands, face = self.placed.hands, self.placed.face
+        return PosedAvatar.of(self.baked, self.global_orient, self.body_pose, self.transl, hands=hands, face=face)
 
 
 def cast(person: Person, name: str, ground: records.Ground, fps: float, device: str) -> Actor:
@@ -130,7 +133,7 @@ def cast(person: Person, name: str, ground: records.Ground, fps: float, device: 
     rig, baked = rig_of(record), load_avatar(record, device)
     soles = Soles.of_rig(rig)
     manner = Manner(fps, person.speed, person.motion_fps, person.up)
-    if person.motion in MOTIONS:
+    if person.motion in MOTIONS | GESTURED:
         check_time(SECONDS, manner.wanted, person.motion)
         if round(SECONDS * manner.wanted) < 2:
             shown = [f"{SECONDS:g} s, {person.speed:g} times as fast, at {fps:g} pictures a second"]
@@ -140,10 +143,13 @@ def cast(person: Person, name: str, ground: records.Ground, fps: float, device: 
         placed, facts = by_formula(person.motion, soles, SECONDS, manner.wanted), []
     elif person.motion != "clip":
         path = Path(person.motion)
-        placed, told = from_file(path, manner, soles, rig.parents.tolist(), model.name if model else "")
+        placed, told = from_file(path, manner, soles, rig.parents.tolist(), model.name if model else "", record.fingers)
         facts = [f"{path.name}  {'; '.join(told)}"]
     else:
         placed, facts = _own(run, person, manner, soles), []
+    if person.face is not None:
+        placed, told = _with_face(placed, person, record, fps)
+        facts = [*facts, *told]
     angle = np.radians(person.turn)
     about = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
     turn = ground.turn @ about
@@ -182,6 +188,18 @@ def in_colour(actor: Actor, gain: np.ndarray) -> Actor:
     sh = with_gain(resting.sh, torch.as_tensor(gain).to(resting.sh))
     red, green, blue = (float(value) for value in gain)
     return replace(actor, baked=actor.baked._replace(resting=resting._replace(sh=sh)), gain=(red, green, blue))
+
+
+def _with_face(placed: Placed, person: Person, record: records.Avatar, fps: float) -> tuple[Placed, list[str]]:
+    """The motion with the face of a capture, from its first picture on, `person.speed` times as fast; it ends as it ends."""
+    path = Path(person.face or "")
+    if record.face is None:
+        raise StageError(f"{person.avatar} has no face that moves", "leave out the face, or train it again")
+    take = read_face(path)
+    shown = np.arange(len(placed.transl)) / fps * person.speed
+    face = np.stack([np.interp(shown, take.times, column) for column in take.face.T], 1)
+    told = f"{len(take.times)} rows, {take.times[-1]:.1f} s"
+    return placed._replace(face=face), [f"{path.name}  {'; '.join([told, *take.notes])}"]
 
 
 def _own(run: Path | None, person: Person, manner: Manner, soles: Soles) -> Placed:

@@ -9,14 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from stages.avatar.motion import placing, retarget
+from stages.avatar.motion.hands import FARTHEST, broken, from_smplx
 from stages.avatar.motion.placing import Placed, Soles
 from stages.avatar.motion.retarget import Performance
 from stages.contract import StageError
 from stages.formats.body_model import FREE, SMPL
 from stages.formats.budget import check_count
 from stages.formats.motions import bvh, bvh_names
+from stages.formats.motions.bvh_fingers import map_fingers
 from stages.formats.motions.rates import usual_rate
 from stages.formats.motions.smpl_npz import FILES, read_smpl_motion
+from stages.gestures import Fingers
 from stages.records import BodyPoses, Ground
 
 DEFAULT_FPS = 30.0  # of a motion file that does not say
@@ -52,13 +55,19 @@ def check_time(seconds: float, wanted: float, where: Path | str) -> None:
 
 
 def from_file(
-    path: Path, manner: Manner, soles: Soles, parents: Sequence[int], body: str = SMPL
+    path: Path,
+    manner: Manner,
+    soles: Soles,
+    parents: Sequence[int],
+    body: str = SMPL,
+    fingers: Fingers | None = None,
 ) -> tuple[Placed, list[str]]:
     """A .bvh, or SMPL poses, retargeted to the body of `soles`, and facts about it; StageError for what is no motion.
 
-    `body` is its name: poses of SMPL are carried over to the free body, so that limbs point as SMPL's do.
+    `body` is its name: poses of SMPL are carried over to the free body, so that limbs point as SMPL's do. `fingers` are the
+    avatar's, which bend as those of the file.
     """
-    performance, rate, facts = _read(path, manner.motion_fps, soles, parents, body)
+    performance, rate, facts = _read(path, manner.motion_fps, soles, parents, body, fingers)
     seen = placing.which_is_up(performance)
     up = manner.up or seen
     if up is None:
@@ -89,8 +98,15 @@ def from_clip(body: BodyPoses, times: np.ndarray, ground: Ground, manner: Manner
     return placing.on_floor(retarget.resample_at(performance, times[rows], manner.wanted), manner.wanted, soles)
 
 
+def _of_fingers(bones: int, fingers: Fingers | None) -> list[str]:
+    """What is said of the finger bones of a file."""
+    if bones and fingers is None:
+        return ["fingers left out: this avatar has none"]
+    return [f"{bones} finger bones"] if bones else []
+
+
 def _read(
-    path: Path, fps: float | None, soles: Soles, parents: Sequence[int], body: str
+    path: Path, fps: float | None, soles: Soles, parents: Sequence[int], body: str, fingers: Fingers | None
 ) -> tuple[Performance, float, list[str]]:
     """The motion for SMPL's joints, its frames a second (`fps`, if given), and facts about the file in words."""
     own_fps: float | None
@@ -99,17 +115,29 @@ def _read(
         named = bvh_names.map_body(found, path)
         skeleton = retarget.Skeleton(found.names, found.parents, found.places, found.rotations)
         chains = (named.limbs, named.pelvis, named.spine, named.neck)
+        bones = map_fingers(found, named.limbs)
+        hands = (fingers, bones) if fingers is not None and bones else None
         try:
-            performance = retarget.from_skeleton(skeleton, *chains, soles.joints, parents)
+            performance = retarget.from_skeleton(skeleton, *chains, soles.joints, parents, hands)
         except ValueError as error:
             raise StageError(f"{path} has bones without length", bvh.HINT, [str(error)]) from error
-        notes = [f"{named.used} of {named.used + len(named.unused)} joints used", *named.said, *found.said]
+        count, used = named.used + len(named.unused), named.used + (len(bones) if hands else 0)
+        notes = [f"{used} of {count} joints used", *_of_fingers(len(bones), fingers)]
+        lost = 0 if performance.hands is None else broken(performance.hands, bones)
+        if lost:
+            far = f"{lost} of them turn by more than {np.degrees(FARTHEST):.0f} degrees, as no finger does"
+            notes.append(f"{far}: they follow the bone above")
+        notes += [*named.said, *found.said]
         length, own_fps = len(found), found.fps
     elif path.suffix.lower() in FILES:
         smpl = read_smpl_motion(path)
         turns, notes = (smpl.rotvecs, smpl.transl, soles.joints), list(smpl.notes)
         carried = body == FREE and smpl.body == SMPL
         performance = retarget.carried_over(*turns, parents) if carried else retarget.from_smpl(*turns)
+        if smpl.hands is not None:
+            notes += _of_fingers(smpl.hands[0].size // 3, fingers)
+            if fingers is not None:
+                performance = performance._replace(hands=from_smplx(smpl.hands, fingers))
         length, own_fps = len(smpl), smpl.fps
     else:
         raise StageError(

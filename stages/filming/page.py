@@ -14,7 +14,8 @@ from stages.filming.outputs import in_gain
 from stages.filming.parts import Parts
 from stages.filming.shoot import Shoot
 from stages.formats import viewer
-from stages.records import Cameras, Effects, Move
+from stages.gestures import Move
+from stages.records import Cameras, Effects
 
 
 def page(shoot: Shoot, out: Path, parts: Parts) -> tuple[bool, list[str]]:

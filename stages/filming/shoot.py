@@ -83,5 +83,6 @@ class Shoot:
             clothing = actor.baked.clothing
             cloth = None if clothing is None else [*clothing.buffers(), *clothing.parameters()]
             rest = list(actor.baked.resting), actor.baked.joints, actor.baked.parents, actor.baked.antialias
-            people.append([*rest, cloth, list(actor.baked.casters or ()), actor.place, actor.turn, actor.scale])
+            moved = [list(part or ()) for part in (actor.baked.casters, actor.baked.gloves, actor.baked.face)]
+            people.append([*rest, cloth, *moved, actor.place, actor.turn, actor.scale])
         return mark(None if scene is None else list(scene), lamp, light, people)

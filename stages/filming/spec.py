@@ -26,7 +26,9 @@ class Person(contract.Params):
     """Which of them, where the run has several people."""
     motion: str = "clip"
     """A .bvh or .npz file; clip: as they moved in their own clip; or made by formula: wave, squats, jumping_jacks,
-    walk_in_place."""
+    walk_in_place; for people with fingers and a face count_to_five, say_a_sentence."""
+    face: Path | None = None
+    """A .csv of a face capture: a time and the 52 shapes."""
     at: tuple[Far, Far] | None = None
     """Where their motion begins, m on the floor from where the scene's own person stood: to the left, ahead. If not said, the
     scene's own people are where they were, and others at the nearest place that is free, which is told."""

@@ -52,7 +52,8 @@ def gestures_of(arrays: Mapping[str, Any], count: int, name: str, hint: str) -> 
     if "fingers_rows" in arrays:
         held = rows("fingers_rows", None, count)
         shares = one("fingers_shares", len(held), len(FINGER_NAMES)).astype(np.float32)
-        fingers = Fingers(one("fingers_joints", len(FINGER_NAMES), 3), one("fingers_shape", 2, 15, 3), held, shares)
+        joints, tips = one("fingers_joints", len(FINGER_NAMES), 3), one("fingers_tips", len(FINGER_NAMES) // 3, 3)
+        fingers = Fingers(joints, tips, one("fingers_shape", 2, 15, 3), held, shares)
     if "face_rows" in arrays:
         held = rows("face_rows", None, count)
         moves = np.zeros((len(FACE_NAMES) * len(held), 3), np.float16)

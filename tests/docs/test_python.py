@@ -11,10 +11,13 @@ import pytest
 import hugs
 import hugs.learning
 from hugs_cli import pipelines
+from stages.avatar.drawing.attach import attach
 from stages.contract import Job
+from stages.formats.body_model import read_body_model
+from stages.formats.hands_face import read_hands_face
 from stages.formats.images import read_image
 from stages.formats.poses import read_poses
-from stages.formats.splats import read_avatar
+from stages.formats.splats import read_avatar, write_splats
 from stages.training.results import Result
 from tests.docs.documents import documents
 from tests.made import tiny
@@ -28,6 +31,9 @@ def work(tmp_path, monkeypatch):
     """A folder in which work/dance/default has the stages up to train, and the avatar of export."""
     monkeypatch.chdir(tmp_path)
     folders = tiny.make(tmp_path / "work" / "dance" / "default")
+    body = read_body_model()
+    moving = attach(read_avatar(folders["train"] / "avatar.npz"), body, read_hands_face(body))
+    write_splats(folders["train"] / "avatar.npz", moving)
     export = tmp_path / "work" / "dance" / "default" / "export"
     export.mkdir()
     shutil.copy(folders["train"] / "avatar.npz", export)

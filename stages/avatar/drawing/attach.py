@@ -36,8 +36,9 @@ def attach(
     vertices, _ = model.rest(betas)
     shape = torch.zeros(2, 15, 3) if hands is None else torch.as_tensor(hands).float()
     resting = load_avatar(avatar).resting
-    joints, _ = finger_joints(rig, vertices)
-    fingers = _fingers(rig, vertices, model.lbs_weights, joints, shape, resting.means, resting.weights)
+    joints, tips = finger_joints(rig, vertices)
+    rows, shares = _fingers(rig, vertices, model.lbs_weights, joints, shape, resting.means, resting.weights)
+    fingers = gestures.Fingers(*(part.numpy() for part in (joints, tips, shape, rows, shares)))
     face = _face(rig, face_at(rig, model.v_template, model.shapedirs, betas), resting.means, resting.weights)
     return replace(avatar, fingers=fingers, face=face)
 
@@ -50,7 +51,7 @@ def _fingers(
     shape: Tensor,
     means: Tensor,
     weights: Tensor,
-) -> gestures.Fingers:
+) -> tuple[Tensor, Tensor]:
     """Each Gaussian of a hand shares its weight there as the vertices around do, where the hand is in `shape`."""
     own = torch.as_tensor(rig.finger_weights)
     skin = (limbs[:, list(HANDS)].sum(1) > 0).nonzero()[:, 0]
@@ -61,7 +62,7 @@ def _fingers(
     there = weights[rows][:, list(HANDS)]
     shares = (found / hand.clamp_min(1e-6)[..., None] * there[..., None]).flatten(1)
     kept = shares.amax(1) > 0
-    return gestures.Fingers(*(part.numpy() for part in (joints, shape, rows[kept].int(), shares[kept])))
+    return rows[kept].int(), shares[kept]
 
 
 def _face(rig: gestures.HandsFace, points: Tensor, means: Tensor, weights: Tensor) -> gestures.Face:

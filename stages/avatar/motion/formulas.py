@@ -47,7 +47,7 @@ def jumping_jacks(seconds: float, fps: float, leg: float = LEG) -> Motion:
 def walk_in_place(seconds: float, fps: float, leg: float = LEG) -> Motion:
     """Marching on the spot: knees up in turn, arms swinging against them, weight over the foot that stands."""
     phase = _phase(seconds, fps, 1.1)
-    start = _ease(seconds, fps, 0.4)
+    start = ease(seconds, fps, 0.4)
     sway = -0.025 * phase.sin() * start  # over the right foot (x < 0) while the left one is up
     pose = _Pose(len(phase))
     for i, side in SIDES:
@@ -69,7 +69,7 @@ def walk_in_place(seconds: float, fps: float, leg: float = LEG) -> Motion:
 def wave(seconds: float, fps: float, leg: float = LEG) -> Motion:
     """Standing, the right hand raised and waving, the weight a little on one leg; the arm goes up and comes down."""
     phase = _phase(seconds, fps, 0.75)
-    up = _ease(seconds, fps, 0.8)
+    up = ease(seconds, fps, 0.8)
     sway = 0.02 * up * (1 + 0.15 * (phase / 3).sin())
     hang = torch.ones_like(up)
     pose = _Pose(len(phase))
@@ -106,12 +106,45 @@ def squats(seconds: float, fps: float, leg: float = LEG) -> Motion:
     return pose.motion(leg=leg, stand=True)
 
 
+def count_to_five(seconds: float, fps: float, leg: float = LEG) -> Motion:
+    """Standing, the right hand raised beside the head, its palm ahead, where all its fingers are seen; see `gestures`."""
+    up = ease(seconds, fps, 0.8)
+    sway = 0.015 * up * (times(seconds, fps) * 2 * math.pi).sin()
+    hang = torch.ones_like(up)
+    pose = _Pose(len(up))
+    for i, _ in SIDES:
+        pose.turn(HIPS[i], z=-sway / leg)
+        pose.turn(ANKLES[i], z=sway / leg)
+    pose.turn(SHOULDERS[0], z=-HANG * hang, x=-0.05 * hang, order="xz")
+    pose.turn(ELBOWS[0], y=-0.25 * hang)
+    pose.turn(SHOULDERS[1], x=-1.5 * up, z=HANG - (HANG - 0.7) * up, order="zx")
+    pose.turn(ELBOWS[1], y=0.25 + 2.0 * up)
+    pose.turn(HEAD, y=-0.08 * up)
+    return pose.motion(shift=sway, leg=leg)
+
+
+def say_a_sentence(seconds: float, fps: float, leg: float = LEG) -> Motion:
+    """Standing and talking: the head nods and turns a little, the forearms go along; the mouth is in `gestures`."""
+    up, phase = ease(seconds, fps, 0.5), _phase(seconds, fps, 1.3)
+    pose = _Pose(len(up))
+    for i, side in SIDES:
+        pose.turn(SHOULDERS[i], z=-side * (HANG - 0.05 * up), x=-0.15 * up, order="xz")
+        pose.turn(ELBOWS[i], y=-side * (0.25 + up * (0.9 + 0.25 * (phase + side).sin())))
+    pose.turn(HEAD, x=0.06 * up * (2 * phase).sin(), y=0.1 * up * phase.sin(), z=0.03 * up * phase.cos())
+    pose.turn(SPINE[2], y=0.03 * up * phase.sin())
+    return pose.motion(leg=leg)
+
+
 MOTIONS: dict[str, Callable[..., Motion]] = {
     "jumping_jacks": jumping_jacks,
     "walk_in_place": walk_in_place,
     "wave": wave,
     "squats": squats,
 }
+"""Motions of the body alone."""
+
+GESTURED: dict[str, Callable[..., Motion]] = {"count_to_five": count_to_five, "say_a_sentence": say_a_sentence}
+"""Those for people with fingers and a face, whose movements are in `gestures`."""
 
 
 class _Pose:
@@ -157,7 +190,8 @@ class _Pose:
         return torch.stack(points, 1)
 
 
-def _times(seconds: float, fps: float) -> Tensor:
+def times(seconds: float, fps: float) -> Tensor:
+    """Frames [F] as shares of the whole time, from 0 on; ValueError for less than two."""
     frames = round(seconds * fps)
     if frames < 2:
         raise ValueError(f"{seconds} s at {fps} frames per second is less than two frames")
@@ -166,11 +200,11 @@ def _times(seconds: float, fps: float) -> Tensor:
 
 def _phase(seconds: float, fps: float, period: float) -> Tensor:
     """Angle [F] running through whole turns of about `period` seconds each, so that the motion can loop."""
-    return _times(seconds, fps) * 2 * math.pi * max(1, round(seconds / period))
+    return times(seconds, fps) * 2 * math.pi * max(1, round(seconds / period))
 
 
-def _ease(seconds: float, fps: float, ramp: float) -> Tensor:
+def ease(seconds: float, fps: float, ramp: float) -> Tensor:
     """0 at both ends, 1 between, with smooth ramps of `ramp` seconds (less in short motions)."""
-    t = _times(seconds, fps) * seconds
+    t = times(seconds, fps) * seconds
     x = (torch.minimum(t, seconds - t) / min(ramp, seconds / 2)).clamp(0, 1)
     return x * x * (3 - 2 * x)

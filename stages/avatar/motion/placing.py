@@ -13,6 +13,7 @@ from stages import records
 from stages.avatar.body.joints import ANKLES, FEET, HIPS
 from stages.avatar.body.skinning import all_bones
 from stages.avatar.body.smpl import Body
+from stages.avatar.motion.hands import rotvecs as rotvecs_of
 from stages.avatar.motion.retarget import Performance, leg_of
 
 UPS = {"y": (0, 1, 0), "-y": (0, -1, 0), "z": (0, 0, 1), "-z": (0, 0, -1)}
@@ -34,13 +35,15 @@ class Placed(NamedTuple):
     """A motion for a body of known shape: y up, floor at y = 0, the first frame over the origin and facing +z.
 
     global_orient [F,3] and body_pose [F,69] rad, transl [F,3] m; `drift` m: the range of the floor's heights
-    in the motion itself.
+    in the motion itself. `hands` [F,2,15,3] rad and `face` [F,52], where it has some.
     """
 
     global_orient: np.ndarray
     body_pose: np.ndarray
     transl: np.ndarray
     drift: float
+    hands: np.ndarray | None = None
+    face: np.ndarray | None = None
 
 
 def mean_up(orients: np.ndarray) -> np.ndarray:
@@ -125,7 +128,8 @@ def on_floor(motion: Performance, fps: float, soles: Soles) -> Placed:
     lowest = points[..., 1].min(1) + transl[:, 1]
     floor = grey_opening(lowest, size=1 + 2 * int(FLIGHT * fps / 2), mode="nearest")
     transl[:, 1] -= floor
-    return Placed(orient, pose, transl, float(np.ptp(floor)))
+    hands = None if motion.hands is None else rotvecs_of(motion.hands)
+    return Placed(orient, pose, transl, float(np.ptp(floor)), hands)
 
 
 def seen_in_order(body: records.BodyPoses, times: np.ndarray) -> np.ndarray:

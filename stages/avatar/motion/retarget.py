@@ -30,6 +30,8 @@ from stages.avatar.body.joints import (
     WRISTS,
 )
 from stages.avatar.body.smpl_rest import PARENTS, smpl_rest
+from stages.avatar.motion.hands import from_bones
+from stages.gestures import Fingers
 from stages.records import JOINT_NAMES
 
 LIMBS = {
@@ -64,12 +66,14 @@ class Skeleton(NamedTuple):
 class Performance(NamedTuple):
     """What SMPL's joints do: local rotations [F,24,3,3], root first, and the middle of the hips [F,3].
 
-    Both in the source's axes; `leg` is the source's length of hip to knee to ankle, in the unit of `hips`.
+    Both in the source's axes; `leg` is the source's length of hip to knee to ankle, in the unit of `hips`. `hands`
+    [F,2,15,3,3], as in `hands`, where the source has fingers.
     """
 
     rotations: np.ndarray
     hips: np.ndarray
     leg: float
+    hands: np.ndarray | None = None
 
 
 def from_skeleton(
@@ -80,13 +84,14 @@ def from_skeleton(
     neck: Sequence[int],
     joints: np.ndarray,
     parents: Sequence[int],
+    fingers: tuple[Fingers, Mapping[int, tuple[int, int]]] | None = None,
 ) -> Performance:
     """The performance of another skeleton by a body with rest `joints` [24,3] m (y up, facing z) and `parents` [24].
 
     `limbs` maps SMPL joints to the skeleton's; `pelvis`, `spine`, `neck` are its joints from the hips to the head, any
     number of them, whose bend is spread over SMPL's. Arms and legs must be mapped down to wrists and ankles; collars
-    and toes may be missing and then follow what carries them. The directions of LIMBS come out exact. Raises ValueError
-    for bones without length.
+    and toes may be missing and then follow what carries them. The directions of LIMBS come out exact. `fingers` are those of the
+    body, and which joints theirs go between, see `from_bones`. Raises ValueError for bones without length.
     """
     turns, places = _in_the_world(skeleton)
     at = {joint: places[:, limbs[joint]] for joint in limbs}
@@ -121,7 +126,11 @@ def from_skeleton(
     local = above.mT @ world
     local[:, 0] = world[:, 0]
     hips = (at[HIPS[0]] + at[HIPS[1]]) / 2
-    return Performance(local[1:], hips[1:], float(_leg({joint: place[reference] for joint, place in at.items()})))
+    leg, bent = float(_leg({joint: place[reference] for joint, place in at.items()})), None
+    if fingers is not None:
+        own, chains = fingers
+        bent = from_bones(turns, places, reference, chains, world[:, HANDS], own)
+    return Performance(local[1:], hips[1:], leg, bent)
 
 
 def from_smpl(rotvecs: np.ndarray, transl: np.ndarray, joints: np.ndarray) -> Performance:
@@ -166,9 +175,14 @@ def resample_at(motion: Performance, times: np.ndarray, wanted: float) -> Perfor
     times = times - times[0]
     new = np.arange(np.floor(times[-1] * wanted + ROUNDED) + 1) / wanted
     new = new.clip(max=times[-1])
-    turned = [Slerp(times, Rotation.from_matrix(motion.rotations[:, joint]))(new).as_matrix() for joint in range(24)]
+
+    def turned(rotations: np.ndarray) -> np.ndarray:
+        rows = [Slerp(times, Rotation.from_matrix(one))(new).as_matrix() for one in np.moveaxis(rotations, 1, 0)]
+        return np.stack(rows, 1)
+
     hips = np.stack([np.interp(new, times, axis) for axis in motion.hips.T], 1)
-    return Performance(np.stack(turned, 1), hips, motion.leg)
+    hands = None if motion.hands is None else turned(motion.hands.reshape(-1, 30, 3, 3)).reshape(-1, 2, 15, 3, 3)
+    return Performance(turned(motion.rotations), hips, motion.leg, hands)
 
 
 def turn_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -52,13 +52,13 @@ class BodyMap:
 
 def map_body(bvh: Bvh, path: Path) -> BodyMap:
     """Find the body in a skeleton; StageError with the names found where a leg or an arm is missing."""
-    words = {_words(name): i for i, name in reversed(list(enumerate(bvh.names))) if name}
+    words = {words_of(name): i for i, name in reversed(list(enumerate(bvh.names))) if name}
     parents = bvh.parents.tolist()
     limbs, missing = _by_names(words)
     head = words.get(("", "head"))
     said: tuple[str, ...] = ()
     if missing or not _outwards(limbs, parents):
-        found = by_tree(bvh, lambda name: _words(name)[0])
+        found = by_tree(bvh, lambda name: words_of(name)[0])
         if found is None:
             facts = [f"missing: {', '.join(missing) or 'none, but they do not hang on each other'}"]
             facts.append(f"joints: {', '.join(filter(None, bvh.names))[:LISTED]}")
@@ -108,7 +108,7 @@ def _told(limbs: Mapping[int, int], bvh: Bvh, sides: str) -> str:
     return f"unknown names of joints: taken by the tree, left and right by {sides}: {', '.join(parts)}"
 
 
-def _words(name: str) -> tuple[str, str]:
+def words_of(name: str) -> tuple[str, str]:
     """Side ("left", "right" or "") and what is left of a joint's name: "mixamorig:LeftUpLeg" -> ("left", "upleg")."""
     name = re.sub(r"^(bip\d*|mixamorig\d*|def|org)[\s_.-]+", "", name.rpartition(":")[2], flags=re.IGNORECASE)
     for side, letter in (("left", "l"), ("right", "r")):

@@ -4,7 +4,7 @@
 |------------------|---------------------------------------------------------------------------------------|---------------|
 | AMASS            | poses [F,156] (SMPL-H), [F,165] (SMPL-X) or [F,72], trans, mocap_framerate            | yes           |
 | HuMoR, SLAHMR    | root_orient, pose_body [F,63], trans, fps; of several people [P,F,...]                | yes           |
-| SMPL-X           | global_orient, body_pose [F,63], transl, mocap_frame_rate                             | yes           |
+| SMPL-X           | global_orient, body_pose [F,63], transl, mocap_frame_rate, left_hand_pose [F,45]      | yes           |
 | GVHMR            | smpl_params_global, with the same                                                     | yes           |
 | WHAM             | by person: pose_world [F,72], trans_world                                             | yes           |
 | AIST++           | smpl_poses [F,72], smpl_trans, smpl_scaling; 60 frames a second                       | trans/scaling |
@@ -42,7 +42,9 @@ STEPS = ("trans", "transl", "smpl_trans", "trans_world")
 WHOLE = ("poses", "smpl_poses", "pose_world")
 ROOT, REST = ("global_orient", "root_orient"), ("body_pose", "pose_body")
 WIDTHS = (72, 66, 156, 165)
-_MOTION = (*STEPS, *WHOLE, *ROOT, *REST, "smpl_scaling")
+FINGERS, WITH_FINGERS = 90, (156, 165)
+WHOLE_HANDS, ONE_HAND = "pose_hand", ("left_hand_pose", "right_hand_pose")
+_MOTION = (*STEPS, *WHOLE, *ROOT, *REST, WHOLE_HANDS, *ONE_HAND, "smpl_scaling")
 KEYS = (*_MOTION, *RATES, "body", "world_from_sfm")
 """All that is read: SMPL-X files of AMASS hold pickles too."""
 FILES = (".npz", ".pkl", ".pt")
@@ -53,7 +55,7 @@ class SmplMotion:
     """F poses as their file means them: `rotvecs` [F,24,3] rad, root first; `transl` [F,3] m, in the file's axes.
 
     `fps` frames a second, None where the file does not say. `notes` say what was left out. `body`: whose poses they are, as
-    `formats.poses.whose` says.
+    `formats.poses.whose` says. `hands` [F,2,15,3] rad are SMPL-H's or SMPL-X's fingers, 0 where they are flat, None without.
     """
 
     rotvecs: np.ndarray
@@ -61,6 +63,7 @@ class SmplMotion:
     fps: float | None
     notes: tuple[str, ...] = ()
     body: str = SMPL
+    hands: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.transl)
@@ -77,12 +80,12 @@ def read_smpl_motion(path: Path) -> SmplMotion:
     check_count(len(transl), "poses", path)
     if aist:
         transl = transl / _positive(arrays, "smpl_scaling", path)
-    poses, more = _poses(arrays, len(transl), path)
+    poses, hands, more = _poses(arrays, len(transl), path)
     rate = _first(RATES, arrays)
     if rate:
         _positive(arrays, rate, path)
     fps = usual_rate(str(arrays[rate].reshape(-1)[0])) if rate else AIST_FPS if aist else None
-    return SmplMotion(poses, transl, fps, (*notes, *more), whose(arrays, path))
+    return SmplMotion(poses, transl, fps, (*notes, *more), whose(arrays, path), hands)
 
 
 def _first(keys: Iterable[str], arrays: Mapping[str, np.ndarray]) -> str | None:
@@ -116,8 +119,10 @@ def _of_people(count: int) -> tuple[str, ...]:
     return (f"it holds {count} people: the first is taken",) if count > 1 else ()
 
 
-def _poses(arrays: Mapping[str, np.ndarray], count: int, path: Path) -> tuple[np.ndarray, tuple[str, ...]]:
-    """All 24 rotation vectors [F,24,3], and what was left out."""
+def _poses(
+    arrays: Mapping[str, np.ndarray], count: int, path: Path
+) -> tuple[np.ndarray, np.ndarray | None, tuple[str, ...]]:
+    """All 24 rotation vectors [F,24,3], those of fingers [F,2,15,3], if there are any, and what was left out."""
     key, rest = _first(WHOLE, arrays) or "poses", _first(REST, arrays)
     if key not in arrays and rest:
         root = _first(ROOT, arrays) or ROOT[0]
@@ -130,12 +135,24 @@ def _poses(arrays: Mapping[str, np.ndarray], count: int, path: Path) -> tuple[np
     whole = np.zeros((count, 24, 3))
     whole[:, :kept] = poses[:, : 3 * kept].reshape(count, kept, 3)
     check_radians(whole, key, path)
-    left_out = {
-        156: ("fingers left out",),
-        165: ("fingers and face left out",),
-        66: ("hands are not in it: held straight",),
-    }
-    return whole, left_out.get(width, ())
+    hands = poses[:, -FINGERS:].reshape(count, 2, 15, 3) if width in WITH_FINGERS else _hands(arrays, count, path)
+    if hands is not None:
+        check_radians(hands.reshape(count, 30, 3), f"fingers of {key}", path)
+    notes = ["jaw and eyes left out"] if width == 165 else []
+    if hands is None and any(key in arrays for key in ONE_HAND):
+        notes.append("fingers left out: they are no rotations of 15 bones a hand")
+    elif hands is None and width == 66:
+        notes.append("hands are not in it: held straight")
+    return whole, hands, tuple(notes)
+
+
+def _hands(arrays: Mapping[str, np.ndarray], count: int, path: Path) -> np.ndarray | None:
+    """Fingers [F,2,15,3] in arrays of their own: together, or one a hand; components (PCA) of MANO are none."""
+    for keys, width in (((WHOLE_HANDS,), FINGERS), (ONE_HAND, FINGERS // 2)):
+        if all(key in arrays and arrays[key].size == count * width for key in keys):
+            parts = [_flat(arrays, key, count, (width,), path) for key in keys]
+            return np.concatenate(parts, 1).reshape(count, 2, 15, 3)
+    return None
 
 
 def _flat(arrays: Mapping[str, np.ndarray], key: str, count: int, widths: tuple[int, ...], path: Path) -> np.ndarray:

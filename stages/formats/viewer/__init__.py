@@ -18,7 +18,8 @@ from stages.formats.images import shrink
 from stages.formats.viewer.libraries import licences, packed
 from stages.formats.viewer.packing import Packer, slopes_in_words
 from stages.formats.viewer.staging import background, covered, seen, underfoot
-from stages.records import Cameras, Effects, Move, Rig, Scene
+from stages.gestures import Move
+from stages.records import Cameras, Effects, Rig, Scene
 
 ROOM = Path(__file__).parent / "page"
 TEMPLATE, STYLE, BOOT, ICONS = "viewer.html", "viewer.css", "boot.js", "icons.json"

@@ -7,16 +7,21 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from stages.avatar.drawing.attach import attach
+from stages.avatar.drawing.avatar import PosedAvatar
 from stages.contract import StageError
 from stages.filming.cast import cast, in_colour, moved
 from stages.filming.spec import Person
+from stages.formats.body_model import read_body_model
 from stages.formats.ground import read_ground
+from stages.formats.hands_face import read_hands_face
 from stages.formats.poses import read_poses
 from stages.formats.splats import read_avatar, write_splats
+from stages.gestures import FACE_NAMES
 from stages.records import Ground
 from tests.made.said import holds
 
-FPS = 30.0
+FPS, JAW = 30.0, FACE_NAMES.index("jawOpen")
 LEAN = Rotation.from_euler("xyz", [170, 20, -11], degrees=True)  # a floor that no axis of its world is square to
 SLOPE = Ground(
     np.array([0.3, -2.0, 5.0]), LEAN.apply([0, 1, 0]), LEAN.apply([0, 0, 1]), 1.0, 0.01, 0.01, 9, "a floor elsewhere"
@@ -159,3 +164,28 @@ def test_all_of_somebody_who_is_moved_moves(run, scale):
     np.testing.assert_allclose(there.joints([0, 9]) - actor.joints([0, 9]), np.tile(way, (2, 24, 1)), atol=1e-6)
     for one, other in ((actor.splats(9).means, there.splats(9).means), (actor.casters(9)[0], there.casters(9)[0])):
         np.testing.assert_allclose(other - one, np.tile(way, (len(one), 1)), atol=1e-5)
+
+
+def test_fingers_and_a_face_move_as_made_or_captured(tiny, tmp_path):
+    """A made motion moves both; of a capture each picture shows what it has at its time, at the motion's speed."""
+    body = read_body_model()
+    record = attach(read_avatar(tiny["train"] / "avatar.npz"), body, read_hands_face(body))
+    write_splats(tmp_path / "avatar.npz", record)
+    rows = "".join(f"{second},{value}\n" for second, value in enumerate([0, 0, 1, 1, 1]))
+    (tmp_path / "take.csv").write_text(f"time,jawOpen\n{rows}")
+    made = Person(avatar=tmp_path / "avatar.npz", motion="count_to_five")
+    told, bare = (cast(one, "a", SLOPE, FPS, "cpu") for one in (made, made.model_copy(update={"motion": "wave"})))
+    assert told.placed.hands is not None and told.placed.face is not None and bare.placed.hands is None
+    fingers, jaw = record.fingers.rows, record.face.rows[np.abs(record.face.moves[JAW]).max(1) > 0.01]
+    quiet = PosedAvatar.of(told.baked, told.global_orient, told.body_pose, told.transl)
+    way = (told.splats(60).means - quiet.splats(60).means).norm(dim=1)
+    assert way[fingers].max() > 0.02 and way.median() < 1e-6
+    captured = made.model_copy(update={"motion": "wave", "face": tmp_path / "take.csv", "speed": 2.0})
+    actor = cast(captured, "a", SLOPE, FPS, "cpu")
+    opened = [float((actor.splats(i).means - bare.splats(2 * i).means).norm(dim=1)[jaw].max()) for i in (10, 45)]
+    assert opened[0] < 1e-3 < 0.005 < opened[1] and any("take.csv" in fact for fact in actor.facts)
+
+
+def test_a_face_that_does_not_move_is_refused(run, tmp_path):
+    with pytest.raises(StageError, match="no face"):
+        cast(Person(avatar=run, motion="wave", face=tmp_path / "take.csv"), "a", SLOPE, FPS, "cpu")

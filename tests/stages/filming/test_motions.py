@@ -1,5 +1,6 @@
 """Motions for the people of a film: at its rate and their speed, on a floor at height 0."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.body.smpl_rest import smpl_rest
+from stages.avatar.drawing.attach import attach
 from stages.avatar.motion.moves import by_formula
 from stages.avatar.motion.placing import Soles
 from stages.avatar.motion.takes import SECONDS
@@ -14,9 +16,10 @@ from stages.contract import StageError
 from stages.estimators.bodyfit.resting import posed_joints
 from stages.filming.motions import Manner, from_clip, from_file
 from stages.formats.body_model import read_body_model
+from stages.formats.hands_face import read_hands_face
 from tests.made import bvh as bvh_made
 from tests.made.said import holds
-from tests.made.tiny import EMPTY, FRAMES, make_ground, make_poses
+from tests.made.tiny import EMPTY, FRAMES, make_avatar, make_ground, make_poses
 
 MODEL = read_body_model()
 
@@ -87,6 +90,41 @@ def test_limbs_point_where_smpls_point_though_the_free_body_rests_otherwise(sole
     turned, _ = Rotation.align_vectors(wanted[0], found[0])  # it is made to look ahead
     off = np.degrees(np.arccos(np.clip((turned.apply(found.reshape(-1, 3)) * wanted.reshape(-1, 3)).sum(-1), -1, 1)))
     assert off.max() < 0.01
+
+
+@pytest.fixture(scope="module")
+def fingers():
+    return attach(make_avatar(MODEL, every=40), MODEL, read_hands_face(MODEL)).fingers
+
+
+@pytest.mark.parametrize("layout", ["SMPL-H", "SMPL-X", "arrays", "bvh"])
+def test_files_of_each_format_move_a_finger(soles, fingers, tmp_path, layout):
+    """The left index bends by half a radian in frame 1, whatever it is at first, and no other finger moves."""
+    bend, whole = np.zeros((3, 90)), np.zeros((3, 66))
+    bend[1, 2], steps = -0.5, {"trans": np.zeros((3, 3)), "fps": 30.0}
+    if layout == "bvh":
+        local = np.tile(np.eye(3), (3, 24, 1, 1))
+        local[1, 22] = Rotation.from_rotvec([0, 0, -0.5]).as_matrix()
+        names = [*bvh_made.MIXAMO[:22], "LeftHandIndex1", "RightHandIndex1"]
+        path = tmp_path / "m.bvh"
+        bvh_made.write_bvh(path, soles.joints, local, np.zeros((3, 3)), bvh_made.a_pose(), names=names, fps=30)
+        hips, left, right = re.split("(?=JOINT .*HandIndex1)", path.read_text())
+        ends = [part.replace("OFFSET 0 1 0", f"OFFSET {way} -1 0", 1) for way, part in ((1, left), (-1, right))]
+        path.write_text(hips + "".join(ends))
+    else:
+        columns = {"SMPL-H": [whole, bend], "SMPL-X": [whole, np.zeros((3, 9)), bend]}.get(layout, [whole])
+        more = {"left_hand_pose": bend[:, :45], "right_hand_pose": bend[:, 45:]} if layout == "arrays" else {}
+        path = tmp_path / "m.npz"
+        np.savez(path, poses=np.concatenate(columns, 1), **steps, **more)
+    placed, facts = from_file(path, Manner(30.0), soles, MODEL.parents.tolist(), MODEL.name, fingers)
+    assert any(holds(fact, "2" if layout == "bvh" else "30", "finger bones") for fact in facts)
+    at = Rotation.from_rotvec(placed.hands.reshape(-1, 3)).as_matrix().reshape(3, 30, 3, 3)
+    turned = Rotation.from_matrix(at[1, 0] @ at[0, 0].T).as_rotvec()
+    np.testing.assert_allclose(turned, [0, 0, -0.5], atol=1e-3)
+    assert np.abs(at[1, 1:] - at[0, 1:]).max() < 1e-9 and np.abs(at[2] - at[0]).max() < 1e-9
+    bare, facts = from_file(path, Manner(30.0), soles, MODEL.parents.tolist(), MODEL.name)
+    assert bare.hands is None and any("fingers left out" in fact for fact in facts)
+    np.testing.assert_array_equal(bare.body_pose, placed.body_pose)
 
 
 @pytest.mark.parametrize("time", ["0.033333", "0.0333", "0.03333333", "0.033"])

@@ -65,3 +65,17 @@ def test_whatever_is_otherwise_in_a_picture_is_otherwise_in_its_digest(shoot):
     drawn = shoot.picture(1)
     for name, one in found.items():
         assert name == "antialiased" or not np.array_equal(one.picture(1), drawn), f"{name}: it shows"
+
+
+def test_hands_and_a_face_are_in_the_digest(shoot):
+    """Of the pictures that show them, not of others."""
+    still = np.zeros((99, 2, 15, 3)), np.zeros((99, 52))
+    for name, part in zip(("hands", "face"), still, strict=True):
+        bent = part.copy()
+        bent[2:] = 1
+
+        def given(value, name=name):
+            return with_first(lambda actor: replace(actor, placed=actor.placed._replace(**{name: value})))(shoot)
+
+        assert given(part).made_of([1]) == given(bent).made_of([1]) != shoot.made_of([1])
+        assert given(part).made_of([2]) != given(bent).made_of([2])

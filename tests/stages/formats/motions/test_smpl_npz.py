@@ -54,7 +54,9 @@ def test_the_families(tmp_path, arrays, kept, fps):
     assert (motion.rotvecs[:, kept:] == 0).all() and motion.rotvecs.shape == (N, 24, 3)
     np.testing.assert_allclose(motion.transl, TRANS, atol=1e-12)
     assert motion.fps == (fps and pytest.approx(fps)) and len(motion) == N
-    assert bool(motion.notes) == (kept == 22)
+    width = next((array.shape[1] for key, array in arrays.items() if key == "poses"), 0)
+    assert (motion.hands is not None) == (width in (156, 165))
+    assert bool(motion.notes) == (kept == 22 and width != 156)
 
 
 WORLD = {"global_orient": POSES[:, :3], "body_pose": POSES[:, 3:66], "transl": TRANS}
