@@ -178,6 +178,7 @@ class Scene:
     means[N,3], quats[N,4] (w x y z, unit), scales[N,3] > 0, opacities[N] in 0..1, sh0[N,3], shN[N,K-1,3]
     with K = (degree+1)^2; colour = 0.5 + SH_C0 sh0 + higher terms. `antialias`: they were learned with opacities
     lowered as the screen's blur widens a Gaussian (Mip-Splatting, https://arxiv.org/abs/2311.16493); draw them so.
+    `invented` bool[N]: no frame shows what these Gaussians do; None where their file does not say which.
     `said`: what the reader of their file left out, in sentences.
     """
 
@@ -188,6 +189,7 @@ class Scene:
     sh0: np.ndarray
     shN: np.ndarray
     antialias: bool = field(default=False, kw_only=True)
+    invented: np.ndarray | None = field(default=None, kw_only=True)
     said: tuple[str, ...] = field(default=(), kw_only=True)
 
     def __len__(self) -> int:

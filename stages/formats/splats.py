@@ -15,7 +15,7 @@ from stages.formats.clothes import clothes_of
 from stages.formats.gestures import gesture_arrays, gestures_of
 from stages.records import JOINTS, Avatar, Scene
 
-WHOLE = ("parents", "version")
+WHOLE = {"parents": np.int32, "version": np.int32, "invented": np.uint8}
 VERSION = 2  # of files with clothes, the others have 1; those of 0.1.0 and 0.2.0 say none
 HINT = "train again: `hugs run VIDEO train --force`"
 HIGHER = (0, 3, 8, 15)  # coefficients a colour beside the first, for degrees 0 to 3
@@ -38,20 +38,22 @@ S = TypeVar("S", bound=Scene)
 def write_splats(path: Path, splats: Scene | Avatar) -> None:
     """Write a scene or an avatar as an .npz of float32 arrays (parents int32), without pickles.
 
-    `antialias`, `clothes`, `casters`, `normals`, `fingers` and `face` get arrays only where set, see `gesture_arrays`; `version` is
-    that which first had clothes with bones, else 1.
+    `antialias`, `invented`, `clothes`, `casters`, `normals`, `fingers` and `face` get arrays only where set, see `gesture_arrays`;
+    `version` is that which first had clothes with bones, else 1.
     """
     arrays = {name: np.asarray(getattr(splats, name)) for name in _always(type(splats))}
     arrays["version"] = np.asarray(1)
     if splats.antialias:
         arrays["antialias"] = np.ones(())
+    if splats.invented is not None:
+        arrays["invented"] = splats.invented
     if isinstance(splats, Avatar) and splats.clothes is not None:
         arrays |= splats.clothes.arrays() | {"version": np.asarray(VERSION)}
     if isinstance(splats, Avatar) and splats.casters is not None:
         arrays |= dict(zip(CASTERS, splats.casters, strict=True))
     if isinstance(splats, Avatar) and splats.normals is not None:
         arrays["normals"] = np.asarray(splats.normals)
-    arrays = {k: v.astype(np.int32 if k in WHOLE else np.float32) for k, v in arrays.items()}
+    arrays = {k: v.astype(WHOLE.get(k, np.float32)) for k, v in arrays.items()}
     write_npz(path, arrays | (gesture_arrays(splats) if isinstance(splats, Avatar) else {}))
 
 
@@ -85,6 +87,8 @@ def gathered(kind: type[S], arrays: Mapping[str, np.ndarray], name: str, hint: s
     more: dict[str, Any] = {"antialias": bool(one("antialias"))}
     rows = arrays["means"].shape[0] if arrays["means"].ndim else 1
     shapes: dict[str, tuple[int | None, ...]] = {key: (rows, *shape) for key, shape in _ROWS.items()} | _REST
+    if "invented" in arrays:
+        more["invented"] = checked(arrays["invented"], (rows,), "invented", name, hint).astype(bool)
     if kind is Avatar:
         more["clothes"] = clothes = clothes_of(arrays, name, hint)
         shapes["lbs_weights"] = (rows, JOINTS + (len(clothes) if clothes else 0))

@@ -63,10 +63,10 @@ def result_of(
     """Finish what was trained on `clips`, the same with the body of each person; `effects` is what train.json has of their gains,
     `say` hears about the rest.
     """
-    filled, clip = _filled(fit, say), clips[0]
+    invented, clip = None if fit.scene is None else _filled(fit, fit.scene, say), clips[0]
     finished = [_person(fit, who, one, say) for who, one in zip(fit.people, clips, strict=True)]
     people, counts = [(avatar, poses) for avatar, poses, _ in finished], sum((one[2] for one in finished), Counter())
-    scene, invalid = (None, 0) if fit.scene is None else _scene(fit.scene)
+    scene, invalid = (None, 0) if fit.scene is None or invented is None else _scene(fit.scene, invented)
     settled = fit.densifier.settled
     counts.update(broken=invalid, behind=0 if settled is None else int(settled.sum()))
     distrusted = {} if fit.transients is None else fit.transients.found(clip.names)
@@ -87,7 +87,7 @@ def result_of(
         "extent_m": fit.options.extent,
         "gaussians": fit.sizes() | {"human": sum(len(avatar) for avatar, _ in people)},
         **{name: counts[name] for name in (*COUNTED, "behind")},
-        "filled": filled,
+        "filled": 0 if invented is None else int(invented.sum()),
         "left_out": fit.guard.left_out,
         "clipped": fit.guard.clipped,
         "not_drawn": fit.undrawn,
@@ -126,20 +126,19 @@ def _say(fit: Fit, counts: Counter[str], distrusted: dict[str, float], say: Fini
         say.warn(f"Gaussians that were not finite were left out of the picture {fit.undrawn} times")
 
 
-def _filled(fit: Fit, say: Finishing) -> int:
-    if fit.scene is None:
-        return 0
+def _filled(fit: Fit, scene: SceneModel, say: Finishing) -> Tensor:
+    """Fills what people hide of the scene; which of its Gaussians are invented then, bool [N]."""
     say.begins(HIDDEN)
     try:
-        filled = fill_hidden(fit.scene, fit.seen(), fit.train, fit.cast()._replace(scene=None))
+        invented = fill_hidden(scene, fit.seen(), fit.train, fit.cast()._replace(scene=None))
     except UNFINISHED as error:
         say.warn(f"what the person hides of the scene could not be filled and stays as it was before: {error}")
-        return 0
-    if filled:
+        return torch.zeros(len(scene), dtype=torch.bool, device=scene.means.device)
+    if filled := int(invented.sum()):
         say.note(
             f"{filled:,} Gaussians of the scene fill what the person hides in every frame: invented, from what is around"
         )
-    return filled
+    return invented
 
 
 def _person(fit: Fit, who: PersonLearner, clip: Clip, say: Finishing) -> tuple[Avatar, BodyPoses, Counter[str]]:
@@ -257,13 +256,14 @@ def _avatar(kept: Finished, who: PersonLearner, body: FittedBody, betas: np.ndar
     )
 
 
-def _scene(model: SceneModel) -> tuple[Scene, int]:
-    """The scene to keep, and how many Gaussians are left out because they are not finite."""
+def _scene(model: SceneModel, invented: Tensor) -> tuple[Scene, int]:
+    """The scene to keep, with what is `invented` [N], and how many Gaussians are left out because they are not finite."""
     quats = model.quats / model.quats.norm(dim=1, keepdim=True)
     scales, opacities = model.log_scales.exp(), model.logit_opacities.sigmoid()
     parts = (model.means, quats, scales, opacities, model.sh0, model.shN)
     finite = finite_rows(parts)
-    return Scene(*(_array(t[finite]) for t in parts), antialias=model.antialias), int((~finite).sum())
+    kept = Scene(*(_array(t[finite]) for t in parts), antialias=model.antialias, invented=_array(invented[finite]))
+    return kept, int((~finite).sum())
 
 
 def _array(tensor: Tensor) -> np.ndarray:

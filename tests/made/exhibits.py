@@ -79,4 +79,5 @@ def hazy(scene: Scene) -> Scene:
     more = {name: np.tile(part, (HAZE, *[1] * (part.ndim - 1))) for name, part in vars(scene).items() if name in ROWS}
     more["means"] = more["means"] - rng.uniform([-0.1, -0.1, 0.2], [0.1, 0.1, 0.5], (count, 3))
     more |= {"opacities": np.full(count, 0.012), "sh0": np.full((count, 3), 1.7)}
-    return replace(scene, **{name: np.concatenate([getattr(scene, name), part]) for name, part in more.items()})
+    made = {name: np.concatenate([getattr(scene, name), part]) for name, part in more.items()}
+    return replace(scene, **made, invented=made["means"][:, 0] > np.median(scene.means[:, 0]))

@@ -610,9 +610,16 @@ MUTANTS = (
     Mutant(
         "hidden: what frames show is filled, too",
         "stages/training/finishing/hidden.py",
-        "never[never] = np.isin(np.arange(len(points)), left)",
-        "never[never] = True",
+        "often[person] = times",
+        "often[person] = 0",
         "tests/stages/training/finishing/test_hidden.py::what_a_frame_shows_stays",
+    ),
+    Mutant(
+        "hidden: what one frame shows is left to training",
+        "stages/training/finishing/hidden.py",
+        "SELDOM = 0.1",
+        "SELDOM = 0.0",
+        "tests/stages/training/finishing/test_hidden.py::what_one_frame_shows_is_taken_from_it_and_not_invented",
     ),
     Mutant(
         "hidden: the ghost stays",

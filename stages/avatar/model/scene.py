@@ -7,7 +7,6 @@ import math
 import numpy as np
 import torch
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
-from scipy.ndimage import distance_transform_edt
 from torch import Tensor, nn
 
 from stages import records
@@ -20,7 +19,6 @@ from stages.avatar.splats.sh import bases, sh_from_rgb
 MOVABLE = 15.0  # largest logit of an opacity: from 17 on float32's sigmoid is flat and opacities would freeze (C04)
 START_OPACITY = 0.5
 OPAQUE = 3.0  # logit of an opacity of 0.95
-BEHIND = 0.5  # metres behind the middle of a person, where filled-in background may begin
 NEAREST = 0.02  # of the extent: nearer to a camera is no surface, see `clear_of_cameras`
 
 
@@ -55,40 +53,35 @@ def fill_points(
     masks: list[np.ndarray],
     viewmats: np.ndarray,
     Ks: np.ndarray,
-    person: np.ndarray,
     count: int,
     rng: np.random.Generator,
     skies: list[np.ndarray] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points [<=count,3] m and colours [.,3] uint8 of background at random pixels, as deep as the SfM points around.
 
-    points[P,3] m; per view: image uint8[H,W,3], mask uint8[H,W] (255 = person), viewmat[4,4], K[3,3] and the place of the
-    person[3] m. Inverse depth is linear between the SfM points of a view; outside them the nearest one gives it. On
-    person pixels the colour is that of the nearest background pixel, and the depth lies beyond the person. It skips
-    views with under 8 points, and pixels of `skies` bool[H,W].
+    points[P,3] m; per view: image uint8[H,W,3], mask uint8[H,W] (255 = person), viewmat[4,4] and K[3,3]. Inverse depth is
+    linear between the SfM points of a view; outside them the nearest one gives it. It skips views with under 8 points, and
+    pixels of people and of `skies` bool[H,W].
     """
     xyz, rgb = [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)]
     share = max(1, count // max(1, len(images)))
     skies = skies or [np.zeros_like(mask, bool) for mask in masks]
-    for image, mask, viewmat, K, place, sky in zip(images, masks, viewmats, Ks, person, skies, strict=True):
+    for image, mask, viewmat, K, sky in zip(images, masks, viewmats, Ks, skies, strict=True):
         height, width = mask.shape
         pixels, depths = project(points, viewmat, K)
         seen = (depths > 1e-6) & (pixels > 0).all(1) & (pixels < [width, height]).all(1)
         pixels, inverse = pixels[seen], 1 / depths[seen]
-        if len(pixels) < 8 or (mask >= 128).all():
+        if len(pixels) < 8:
             continue
         at = rng.random((share, 2)) * [width, height]
         column, row = at.astype(int).T
-        below = ~sky[row, column]
-        at, column, row = at[below], column[below], row[below]
-        free_row, free_column = distance_transform_edt(mask >= 128, return_distances=False, return_indices=True)
+        bare = ~sky[row, column] & (mask[row, column] < 128)
+        at, column, row = at[bare], column[bare], row[bare]
         w = LinearNDInterpolator(pixels, inverse)(at)
         beyond = ~np.isfinite(w)
         w[beyond] = NearestNDInterpolator(pixels, inverse)(at[beyond])
-        beyond_person = 1 / max(viewmat[2, :3] @ place + viewmat[2, 3] + BEHIND, 1e-6)
-        w = np.where(mask[row, column] >= 128, np.minimum(w, beyond_person), w)
         xyz.append(unproject(at, w, viewmat, K))
-        rgb.append(image[free_row[row, column], free_column[row, column]])
+        rgb.append(image[row, column])
     return np.concatenate(xyz), np.concatenate(rgb)
 
 

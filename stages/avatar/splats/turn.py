@@ -27,6 +27,7 @@ def turned(splats: records.Scene, rotation: np.ndarray, about: np.ndarray | None
         sh0=splats.sh0,
         shN=rotate_sh(torch.as_tensor(splats.shN), torch.as_tensor(rotation)).numpy(),
         antialias=splats.antialias,
+        invented=splats.invented,
         said=splats.said,
     )
 

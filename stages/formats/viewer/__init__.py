@@ -114,7 +114,8 @@ def _pack(shown: Exhibit, scene: Scene | None) -> Packer:
             packer.whole(f"person{number}/facing", np.rint(127.5 * (figure.rig.facing + 1)))
     if scene is not None:
         packer.gaussians("scene", scene, 24)
-        marks = np.stack([seen(scene, shown.cameras), underfoot(scene, shown.turn, shown.spot)], 1)
+        invented = np.zeros(len(scene)) if scene.invented is None else scene.invented
+        marks = np.stack([seen(scene, shown.cameras), underfoot(scene, shown.turn, shown.spot), invented], 1)
         packer.whole("scene/marks", np.rint(15 * marks))
     Ks = shown.cameras.Ks
     packer.exact("clip/views", shown.cameras.viewmats)
@@ -213,8 +214,8 @@ def _lacks(shown: Exhibit) -> list[str]:
 def _largest(scene: Scene, count: int) -> Scene:
     """The Gaussians that cover most. Their order stays."""
     kept = np.sort(np.argsort(-covered(scene), kind="stable")[:count])
-    names = ("means", "quats", "scales", "opacities", "sh0", "shN")
-    rows: dict[str, Any] = {name: getattr(scene, name)[kept] for name in names}
+    names = ("means", "quats", "scales", "opacities", "sh0", "shN", "invented")
+    rows: dict[str, Any] = {name: values[kept] for name in names if (values := getattr(scene, name)) is not None}
     return replace(scene, **rows)
 
 

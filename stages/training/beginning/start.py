@@ -123,7 +123,7 @@ class _Start:
         bodies = [self._person(one) for one in self.clips]
         people = [self._starting(*one, views) for one in zip(bodies, self._outlines(views, bodies), strict=True)]
         extent = scene_extent(self._tensor(clip.viewmats).cpu(), self._tensor(clip.points).cpu())
-        scene = self._scene(bodies, extent) if on.get("scene", True) and len(clip.points) else None
+        scene = self._scene(extent) if on.get("scene", True) and len(clip.points) else None
         most = max((one.human for one in people), key=len)
         caps = {"human_cap": self._cap("human", most), "scene_cap": self._cap("scene", scene)}
         options = Options(
@@ -231,18 +231,15 @@ class _Start:
         tell(f"{100 * share:.0f} % of the person's surface is seen by the training frames, the rest is a guess{better}")
         return human
 
-    def _scene(self, people: list[FittedBody], extent: float) -> SceneModel | None:
+    def _scene(self, extent: float) -> SceneModel | None:
         """None where all points lie on a camera."""
         clip, on, chosen = self.clip, self.decisions, spread_evenly(self.train, FILLED)
         images, masks = [clip.images(i) for i in chosen], [clip.mask(i) for i in chosen]
         cameras, skies = (clip.viewmats[chosen], clip.Ks[chosen]), None
         if on.get("sky", False):
             skies = [open_sky(clip.points, mask, *camera) for mask, *camera in zip(masks, *cameras, strict=True)]
-        rng, bodies = np.random.default_rng(self.seed), [one.body for one in self.clips]
-        hips = [body.transl[chosen] + who.joints[0].cpu().numpy() for body, who in zip(bodies, people, strict=True)]
-        depths = [(clip.viewmats[chosen, 2, :3] * at).sum(1) for at in hips]
-        places = np.take_along_axis(np.stack(hips), np.argmax(depths, 0)[None, :, None], 0)[0]  # beyond all of them
-        xyz, rgb = fill_points(clip.points, images, masks, *cameras, places, self.params.scene_fill, rng, skies)
+        rng = np.random.default_rng(self.seed)
+        xyz, rgb = fill_points(clip.points, images, masks, *cameras, self.params.scene_fill, rng, skies)
         points = self._tensor(np.concatenate([clip.points, xyz]))
         colors = self._tensor(np.concatenate([clip.colors, rgb])) / 255
         clear = clear_of_cameras(points, self._tensor(clip.viewmats), extent)

@@ -40,6 +40,17 @@ def test_l07_round_trip_without_pickles(tmp_path):
         assert all(data[k].dtype != object for k in data)
 
 
+def test_what_is_invented_is_said_where_it_is_known(tmp_path):
+    invented = np.array([True, False, False, True, False])
+    write_splats(tmp_path / "scene.npz", Scene(**scene(), invented=invented))
+    assert np.array_equal(read_scene(tmp_path / "scene.npz").invented, invented)
+    write_splats(tmp_path / "older.npz", Scene(**scene()))
+    assert read_scene(tmp_path / "older.npz").invented is None
+    np.savez(tmp_path / "scene.npz", **scene(), invented=invented[:4])
+    with pytest.raises(StageError, match=r"invented .*scene\.npz.* shape"):
+        read_scene(tmp_path / "scene.npz")
+
+
 def test_k02_l01_damage_is_named(tmp_path):
     path = tmp_path / "avatar.npz"
     np.savez(path, **scene())

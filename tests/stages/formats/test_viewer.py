@@ -324,7 +324,22 @@ def test_keys_press_the_buttons(page):
     assert found == [4, "person", False, True], "no shadow is switched where none falls"
     press("2")
     press("s")
-    assert page.run("[hugs.player.show, hugs.player.shaded]") == ["both", False]
+    press("i")
+    assert page.run("[hugs.player.show, hugs.player.shaded, hugs.player.dimmed]") == ["both", False, True]
+    press("i")
+
+
+@pytest.mark.slow
+def test_what_is_invented_is_darkened_when_asked(page, folders):
+    def drawn(dimmed: str) -> np.ndarray:
+        page.run(f"void hugs.player.set({{ dimmed: {dimmed} }})")
+        return picture(page.run("hugs.show({ camera: 0, only: 'scene' })"))
+
+    seen, dimmed = drawn("false"), drawn("true")
+    page.run("void hugs.player.set({ dimmed: false })")
+    lost = 1 - dimmed[..., :3].sum((0, 2)) / seen[..., :3].sum((0, 2))
+    third = len(lost) // 3
+    assert lost[:third].mean() < 0.2 and lost[-third:].mean() > 0.5, "the wall's right half is invented"
 
 
 @pytest.mark.slow

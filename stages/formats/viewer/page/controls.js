@@ -52,6 +52,7 @@ export function connect(player, read, facts, scene) {
   };
   press("clip", look);
   press("shade", () => player.set({ shaded: !player.shaded }));
+  press("dim", () => player.set({ dimmed: !player.dimmed }));
   const home = () => player.home(facts.clip.middle);
   press("home", home);
   press("still", () => save(player, facts));
@@ -76,7 +77,7 @@ export function connect(player, read, facts, scene) {
   const keys = {
     " ": () => player.set({ playing: !player.playing }), ArrowLeft: () => go(-1), ArrowRight: () => go(1),
     1: () => player.set({ show: "person" }), 2: () => $("both").click(), 3: () => $("scene").click(),
-    c: look, s: () => $("shade").click(), j: toggle, r: () => $("home").click(), p: () => save(player, facts), f: whole, m: () => $("ruler").click(),
+    c: look, s: () => $("shade").click(), i: () => $("dim").click(), j: toggle, r: () => $("home").click(), p: () => save(player, facts), f: whole, m: () => $("ruler").click(),
     "?": () => $("about").click(),
   };
   addEventListener("keydown", (event) => {
@@ -99,6 +100,7 @@ export function connect(player, read, facts, scene) {
 
   for (const id of ["both", "scene"]) $(id).disabled = !player.scene;
   $("shade").hidden = !player.shadow;
+  $("dim").hidden = !player.fading?.invented;
   if (!facts.clip.pictures.length) Object.assign($("clip"), { textContent: "Camera", title: "Through the film's camera (C)" });
   if (player.people.length > 1) Object.assign($("person"), { textContent: "People", title: "The people alone (1)" });
   $("full").hidden = !document.fullscreenEnabled;
@@ -120,6 +122,8 @@ export function connect(player, read, facts, scene) {
     $("clip").setAttribute("aria-pressed", player.view === "clip");
     $("shade").disabled = player.show !== "both";
     $("shade").setAttribute("aria-pressed", player.shaded);
+    $("dim").disabled = player.show === "person";
+    $("dim").setAttribute("aria-pressed", player.dimmed);
     $("bend").setAttribute("aria-pressed", player.bends.size > 0);
     const angles = player.bends.get(Number($("joint").value)) ?? [0, 0, 0];
     axes.forEach((slider, i) => {

@@ -13,6 +13,7 @@ export class Player {
     this.given = null; // or a camera to look through
     this.plain = false; // or nothing but the Gaussians
     this.shaded = shadow !== null;
+    this.dimmed = false; // what is invented of the scene
     this.bends = new Map(); // joint -> angles about x, y, z in degrees, on top of the motion
     this.changed = () => {};
     this.posed = "";
@@ -53,7 +54,7 @@ export class Player {
     if (scene) scene.mesh.visible = this.show !== "person";
     stage.floor.visible = this.show === "person" && this.view === "orbit" && !this.plain;
     stage.lens = this.view === "clip" ? this.clip.lens(Math.floor(this.position)) : this.given;
-    this.fading?.look(stage.eye, !stage.lens);
+    this.fading?.look(stage.eye, !stage.lens, this.dimmed);
     const at = this.view === "clip" ? Math.floor(this.position) : this.position;
     const wanted = JSON.stringify([this.motions.indexOf(this.motion), at, seen, this.show, this.shaded, [...this.bends]]);
     if (wanted === this.posed) return;

@@ -67,7 +67,7 @@ def test_the_shell_is_far_in_all_directions_of_the_sky_and_has_its_colours():
 def test_nothing_is_filled_in_before_the_sky():
     sky = open_sky(GROUND, NOBODY, VIEW, K)
     image = np.full((HEIGHT, WIDTH, 3), 90, np.uint8)
-    args = GROUND, [image], [NOBODY], VIEW[None], K[None], np.array([[0, 0, 3.0]]), 400
+    args = GROUND, [image], [NOBODY], VIEW[None], K[None], 400
     plain, _ = fill_points(*args, np.random.default_rng(0))
     without, _ = fill_points(*args, np.random.default_rng(0), [sky])
     rows = (plain / plain[:, 2:] @ K.T)[:, :2].astype(int)

@@ -82,7 +82,7 @@ def _wider(viewmats: torch.Tensor, scale: float) -> torch.Tensor:
     return wider
 
 
-def test_filled_points_lie_on_the_wall_and_never_have_the_persons_colour():
+def test_filled_points_lie_on_the_wall_and_never_where_the_person_is():
     rng = np.random.default_rng(0)
     wall = np.concatenate([rng.uniform(-3, 3, (300, 2)), np.full((300, 1), 5.0)], 1)
     K = np.array([[50.0, 0, 32], [0, 50, 24], [0, 0, 1]])
@@ -92,18 +92,14 @@ def test_filled_points_lie_on_the_wall_and_never_have_the_persons_colour():
     mask = np.zeros((48, 64), np.uint8)
     mask[10:30, 20:40] = 255
     image[mask > 0] = 255
-    person = np.array([[0.0, 0.0, 3.0]])
-    xyz, rgb = fill_points(wall, [image], [mask], viewmat[None], K[None], person, 400, rng)
-    assert len(xyz) == 400 and np.allclose(xyz[:, 2], 5, atol=1e-6)
+    xyz, rgb = fill_points(wall, [image], [mask], viewmat[None], K[None], 400, rng)
+    assert 300 < len(xyz) < 400 and np.allclose(xyz[:, 2], 5, atol=1e-6)
     local = xyz + viewmat[:3, 3]
     column, row = ((local[:, :2] / local[:, 2:]) * 50 + [32, 24]).T.astype(int)
-    free = mask[row, column] == 0
-    assert (image[row, column] == rgb)[free].mean() > 0.95
-    assert (~free).sum() > 10 and (rgb < 255).all()
-    none, _ = fill_points(wall[:5], [image], [mask], viewmat[None], K[None], person, 400, rng)
-    assert len(none) == 0
-    behind, _ = fill_points(wall, [image], [mask], viewmat[None], K[None], person + [0, 0, 2.5], 400, rng)
-    assert np.isclose(behind[:, 2].min(), 5) and np.isclose(behind[:, 2].max(), 6), "half a metre behind the person"
+    assert (image[row, column] == rgb).mean() > 0.95 and (rgb < 255).all()
+    for points, shown in ((wall[:5], mask), (wall, np.full_like(mask, 255))):
+        none, _ = fill_points(points, [image], [shown], viewmat[None], K[None], 400, rng)
+        assert len(none) == 0
 
 
 def test_what_a_picture_teaches_is_pulled_to_be_faint_and_small_and_nothing_else_is():

@@ -11,7 +11,7 @@ from stages.avatar.model.scene import SceneModel
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.sh import sh_from_rgb
-from stages.training.finishing.hidden import THICK, fill_hidden, never_seen
+from stages.training.finishing.hidden import THICK, fill_hidden, seen_behind
 from stages.training.step.behind import beside_and_behind
 from stages.training.step.losses import dilated
 from stages.training.views import Views
@@ -38,7 +38,9 @@ def wall(places, half=2.5, apart=0.03):
     viewmats = torch.eye(4).repeat(len(places), 1, 1)
     viewmats[:, 0, 3] = -torch.tensor(places)
     Ks = torch.tensor([[FOCAL, 0, SIZE / 2], [0, FOCAL, SIZE / 2], [0, 0, 1]]).repeat(len(places), 1, 1)
-    return scene, Views(torch.zeros(len(places), SIZE, SIZE, 3).byte(), masks_of(places), viewmats, Ks)
+    views = Views(torch.zeros(len(places), SIZE, SIZE, 3).byte(), masks_of(places), viewmats, Ks)
+    images = [drawn(scene, views, i).image.detach() for i in range(len(places))]
+    return scene, views._replace(images=(255 * torch.stack(images)).clamp(0, 255).byte())
 
 
 def masks_of(places, at=0.0):
@@ -86,9 +88,9 @@ def test_the_wall_goes_on_where_somebody_always_stood():
     clean = drawn(scene, views, 1)
     haunt(scene)
     before, rows = drawn(scene, views, 1), [row.detach().clone() for row in (scene.means, scene.sh0)]
-    hole = torch.as_tensor(never_seen(scene.splats().detach(), views, 1, [0, 1, 2], cast_of())[0])
+    hole = torch.as_tensor(seen_behind(scene.splats().detach(), views, 1, [0, 1, 2], cast_of()).never)
     assert hole.sum() > 500 and not (hole & (dilated(views.masks[1].float(), 0.01) == 0)).any()
-    filled = fill_hidden(scene, views, [0, 1, 2], cast_of())
+    filled = fill_hidden(scene, views, [0, 1, 2], cast_of()).sum()
     after = drawn(scene, views, 1)
     assert filled == hole.sum()
     ghost, left = ((one.image - clean.image).abs()[hole].mean() for one in (before, after))
@@ -106,10 +108,10 @@ def test_what_a_frame_shows_stays():
         masks=torch.stack([masks_of([place], place)[0] for place in (-1.0, 0.0, 1.0)])
     )  # walks along
     before, splats = scene.means.detach().clone(), scene.splats().detach()
-    assert not never_seen(splats, views, 1, [0, 1, 2], cast_of())[0].any()
-    assert never_seen(splats, views, 1, [1], cast_of())[0][views.masks[1] > 0].all()
-    assert fill_hidden(scene, views, [0, 1, 2], cast_of()) == 0 and torch.equal(scene.means, before)
-    assert fill_hidden(scene, views, [1], cast_of()) > 0, "one frame alone does not show it"
+    assert not seen_behind(splats, views, 1, [0, 1, 2], cast_of()).never.any()
+    assert seen_behind(splats, views, 1, [1], cast_of()).never[views.masks[1] > 0].all()
+    assert fill_hidden(scene, views, [0, 1, 2], cast_of()).sum() == 0 and torch.equal(scene.means, before)
+    assert fill_hidden(scene, views, [1], cast_of()).sum() > 0, "one frame alone does not show it"
 
 
 def test_a_camera_that_looks_the_other_way_shows_nothing_of_what_is_behind_it():
@@ -118,15 +120,30 @@ def test_a_camera_that_looks_the_other_way_shows_nothing_of_what_is_behind_it():
     views.viewmats[2, [1, 2], [1, 2]] = -1.0  # tipped over
     views.masks[1:] = 0
     splats = scene.splats().detach()
-    alone, among = (never_seen(splats, views, 0, frames, cast_of())[0] for frames in ([0], [0, 1, 2]))
+    alone, among = (seen_behind(splats, views, 0, frames, cast_of()).never for frames in ([0], [0, 1, 2]))
     assert alone.sum() > 500 and (among == alone).all()
+
+
+def test_what_one_frame_shows_is_taken_from_it_and_not_invented():
+    scene, views = wall([0.0] * 24)
+    clean = drawn(scene, views, 0).image.detach()
+    views = views._replace(masks=torch.cat([views.masks[1:], masks_of([0.0], 3.0)]))
+    views.images[-1, 40:56, 40:56] = torch.tensor([200, 0, 0])  # a poster that no patch can know of
+    haunt(scene)
+    invented = fill_hidden(scene, views, list(range(24)), cast_of())
+    image = drawn(scene, views, 0).image
+    assert not invented.any() and (image[44:52, 44:52] - torch.tensor([200, 0, 0]) / 255).abs().mean() < 0.1
+    beside = (views.masks[0] > 0).clone()
+    beside[38:58, 38:58] = False
+    assert (image - clean).abs()[beside].mean() < 0.1
 
 
 @pytest.mark.parametrize("mask", [0, 255])
 def test_without_anybody_or_anything_around_all_stays(mask):
     scene, views = wall([0.0, 0.05])
     before = scene.means.detach().clone()
-    assert fill_hidden(scene, views._replace(masks=torch.full_like(views.masks, mask)), [0, 1], cast_of()) == 0
+    filled = fill_hidden(scene, views._replace(masks=torch.full_like(views.masks, mask)), [0, 1], cast_of())
+    assert not filled.any()
     assert torch.equal(scene.means, before)
 
 
@@ -159,7 +176,7 @@ def test_nothing_is_put_before_the_person():
     person = SceneModel(there, stripes(there), 0, AWAY).splats().detach()
     for cast, before in ((cast_of(), True), (cast_of(person), False)):
         scene, views = behind_a_table()
-        assert fill_hidden(scene, views, [0, 1], cast) > 100
+        assert fill_hidden(scene, views, [0, 1], cast).sum() > 100
         away = scene.means[:, 2]
         assert ((away > 2.1) & (away < 3.8 + 0.5 * THICK)).any() == before, "the table is around the hole, too"
 
@@ -184,7 +201,8 @@ def test_a_hole_is_as_deep_as_what_is_around_it_whatever_floats_there():
     behind = (scene.means[:, 0].abs() < 0.3) & (scene.means[:, 1].abs() < 0.7)
     there = scene.means.detach()[behind] * torch.tensor([0.75, 0.75, 0.75])
     scene.exchange(torch.zeros(len(scene), dtype=torch.bool), there, stripes(there), torch.full((len(there),), 0.03))
-    hole, inverse = never_seen(scene.splats().detach(), views, 0, [0], cast_of())
+    found = seen_behind(scene.splats().detach(), views, 0, [0], cast_of())
+    hole, inverse = found.never, found.inverse
     assert hole.sum() > 500 and abs(1 / inverse[hole] - AWAY).max() < 0.05
 
 
@@ -192,9 +210,9 @@ def test_a_hole_is_as_deep_as_what_is_around_it_whatever_floats_there():
 def test_what_fills_a_hole_is_opaque(antialias):
     scene, views = wall([0.0, 0.02])
     scene.antialias = antialias
-    hole = torch.as_tensor(never_seen(scene.splats().detach(), views, 0, [0, 1], cast_of())[0])
+    hole = torch.as_tensor(seen_behind(scene.splats().detach(), views, 0, [0, 1], cast_of()).never)
     count = len(scene)
-    filled = fill_hidden(scene, views, [0, 1], cast_of())
+    filled = fill_hidden(scene, views, [0, 1], cast_of()).sum()
     alone = scene.splats().detach().rows(torch.arange(len(scene)) >= len(scene) - filled)
     alpha = compose(None, alone, Camera(views.viewmats[0], views.Ks[0], SIZE, SIZE))[0].alpha
     assert filled and count and alpha[hole].quantile(0.1) > 0.9
@@ -206,7 +224,7 @@ def test_a_large_hole_has_fewer_and_larger_gaussians(monkeypatch):
     clean = drawn(scene, views, 0)
     haunt(scene)
     ghost = (drawn(scene, views, 0).image - clean.image).abs().mean()
-    assert 100 < fill_hidden(scene, views, [0, 1], cast_of()) <= 400
+    assert 100 < fill_hidden(scene, views, [0, 1], cast_of()).sum() <= 400
     assert (drawn(scene, views, 0).image - clean.image).abs().mean() < 0.5 * ghost
 
 
@@ -214,5 +232,5 @@ def test_a_wall_that_ends_behind_somebody_gives_finite_rows():
     scene, views = wall([0.0, 0.05])
     scene.exchange(scene.means[:, 0] > 0, torch.tensor([[0.0, 0, 50]]), GHOST[None], torch.tensor([0.1]))
     assert (drawn(scene, views, 0).alpha[:, -20:] == 0).all()
-    assert fill_hidden(scene, views, [0, 1], cast_of()) > 100
+    assert fill_hidden(scene, views, [0, 1], cast_of()).sum() > 100
     assert all(getattr(scene, name).isfinite().all() for name in scene.ROWS)
