@@ -95,8 +95,8 @@ def seen_behind(splats: Splats, views: Views, key: int, frames: list[int], cast:
     height, width = views.masks.shape[1:]
     person = _person(views, key)
     inverse = _inverse_depth(splats, views, key, person, cast)
-    rows, columns = np.nonzero(person)
-    points = unproject(np.stack([columns, rows], 1) + 0.5, inverse[person], *_camera(views, key))
+    rows, columns = np.mgrid[:height, :width]
+    points = unproject(np.stack([columns[person], rows[person]], 1) + 0.5, inverse[person], *_camera(views, key))
     times, weights, sums = np.zeros(len(points)), np.full(len(points), 1e-6), np.zeros((len(points), 3))
     for i in frames:
         pixels, z = project(points, *_camera(views, i))
