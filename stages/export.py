@@ -176,6 +176,7 @@ def _rigged(job: Job, params: Params, avatar: Avatar, rig: Rig, takes: list[Take
     from stages.formats.exchange.avatar_glb import write_avatar_glb
     from stages.formats.exchange.avatar_vrm import write_avatar_vrm
     from stages.formats.exchange.splats_glb import write_splats_glb
+    from stages.gestures import FACE_NAMES, FINGER_NAMES
 
     baked, has = load_avatar(avatar), f"{params.names} skeleton; motions {', '.join(take.name for take in takes)}"
     told, glb = [hung(baked, take) for take in takes], job.out / "avatar.glb"
@@ -186,6 +187,8 @@ def _rigged(job: Job, params: Params, avatar: Avatar, rig: Rig, takes: list[Take
             hint = f"--set 'export.formats=[{', '.join(one for one in params.formats if one not in ('glb', 'vrm'))}]'"
             raise StageError("the person's Gaussians make no mesh", hint, [str(error)]) from error
         size = f"{len(mesh.faces)} triangles, texture {len(mesh.texture)} px"
+        size += f", {len(FINGER_NAMES)} finger bones" * (rig.finger_joints is not None)
+        size += f", {len(FACE_NAMES)} shapes of the face" * (mesh.morphs is not None)
         if "glb" in params.formats:
             write_avatar_glb(glb, rig, mesh, told, params.names, floor)
             job.note(f"avatar.glb: {size}, {glb.stat().st_size / 1e6:.1f} MB; {has}")

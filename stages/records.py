@@ -246,6 +246,7 @@ class Rig(Scene):
     weights[N,4] uint8, a row adds up to 255; kept[N]: the share of all its weights that the four have; bones8[N,8] and
     words8[N,8] uint16, rows adding up to 65535, for who skins with eight; facing[N,3] unit, the direction in which each is lit;
     betas[10]. From 24 on bones are those of `clothes`, if any, as an Avatar's; of what is cloth there are `slopes`.
+    finger_joints[40,3] m, where there are fingers: where the bones of FINGER_NAMES begin, as hands lie in the avatar, then tips.
     """
 
     joints: np.ndarray
@@ -259,6 +260,7 @@ class Rig(Scene):
     betas: np.ndarray
     clothes: Clothes | None = field(default=None, kw_only=True)
     slopes: Slopes | None = field(default=None, kw_only=True)
+    finger_joints: np.ndarray | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -267,8 +269,8 @@ class Mesh:
 
     `vertices` [V,3] m, `normals` [V,3] unit, `faces` [T,3] int32; `uvs` [V,2] are places in `texture` [S,S,3] uint8, as shown on
     a display, from its upper left corner (0, 0) to its lower right one (1, 1). `bones` [V,4] uint8 as a Rig's, the heaviest
-    first, `weights` [V,4] uint16, rows adding up to 65535. A vertex on a seam of the texture is there twice. `said`: what was
-    left out, in words.
+    first, those of fingers after all others, `weights` [V,4] uint16, rows adding up to 65535. A vertex on a seam of the texture
+    is there twice. `said`: what was left out, in words. `morphs` [52,V,3] m, where there is a face: how FACE_NAMES move it.
     """
 
     vertices: np.ndarray
@@ -279,6 +281,7 @@ class Mesh:
     bones: np.ndarray
     weights: np.ndarray
     said: tuple[str, ...] = ()
+    morphs: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

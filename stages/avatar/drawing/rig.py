@@ -6,7 +6,8 @@ import numpy as np
 import torch
 from torch.nn.functional import normalize
 
-from stages import records
+from stages import gestures, records
+from stages.avatar.body.fingers import finger_bones
 from stages.avatar.body.skinning import MOST, WORDS, heaviest
 from stages.avatar.body.stretch import cloth_of
 from stages.avatar.drawing.avatar import load_avatar
@@ -41,7 +42,16 @@ def rig_of(avatar: records.Avatar) -> records.Rig:
         betas=np.asarray(avatar.betas, np.float32),
         clothes=avatar.clothes,
         slopes=_slopes(at_rest.means, at_rest.weights, len(avatar.joints)),
+        finger_joints=None if avatar.fingers is None else _lying(avatar.fingers),
     )
+
+
+def _lying(fingers: gestures.Fingers) -> np.ndarray:
+    """Joints and tips [40,3] m of fingers in the pose in which the hands lie in the avatar."""
+    joints, tips, shape = (torch.as_tensor(part).double() for part in (fingers.joints, fingers.tips, fingers.shape))
+    bones = finger_bones(joints, shape, torch.eye(4).double().expand(24, 4, 4))
+    points, bones = torch.cat([joints, tips]), torch.cat([bones, bones[2::3]])
+    return ((bones[:, :3, :3] @ points[..., None])[..., 0] + bones[:, :3, 3]).numpy()
 
 
 def _slopes(means: torch.Tensor, weights: torch.Tensor, bones: int) -> records.Slopes | None:

@@ -11,9 +11,8 @@ from torch import Tensor
 from stages import records
 from stages.avatar.body.skinning import WORDS, all_bones, heaviest
 from stages.avatar.body.smpl import vertex_normals
-from stages.avatar.drawing.avatar import Baked, load_avatar, posed_by
+from stages.avatar.drawing.avatar import Baked, Mien, fingers_of, gloved, load_avatar, posed_by
 from stages.avatar.model.person import bone_transforms, taken_back
-from stages.avatar.splats.gaussians import Splats
 from stages.avatar.surface.around import SOLID, around
 from stages.avatar.surface.fuse import SEEN, Shell, fused
 from stages.avatar.surface.looks import all_around
@@ -38,6 +37,9 @@ def surface_of(avatar: records.Avatar, triangles: int = 20_000, texture: int = 2
     """
     person = load_avatar(avatar)
     bones = _canonical_bones(person, avatar.canonical_pose)
+    if person.gloves is not None:
+        bones = torch.cat([bones, fingers_of(person, person.gloves.shape, bones)], -3)
+        person = gloved(person)
     whole = posed_by(person, bones, torch.zeros(3))
     near = _near(whole.means, person.joints, bones)
     splats = whole.rows(near)
@@ -54,8 +56,10 @@ def surface_of(avatar: records.Avatar, triangles: int = 20_000, texture: int = 2
     cut = charts.rows
     close = all_around(seen, _close_look(texture))
     colours = baked(charts, shell.vertices[cut], ways[cut], splats, close, texture)
-    which, words = _skin(shell.vertices, splats, np.asarray(avatar.lbs_weights, np.float64)[near.numpy()])
-    weights = torch.as_tensor(all_bones(which, words, avatar.lbs_weights.shape[1])).float()
+    rows, share = (part.numpy() for part in around(splats, torch.as_tensor(shell.vertices)))
+    which, words = _skin(share, person.resting.weights[near].double().numpy()[rows])
+    weights = torch.as_tensor(all_bones(which, words, len(bones))).float()
+    morphs = None if person.face is None else _morphs(person.face, near, rows, share)[:, cut]
     vertices, _ = taken_back(torch.as_tensor(shell.vertices).float(), weights, bones)
     normals = vertex_normals(vertices, faces)
     normals[~normals.any(1), 1] = 1  # a sliver has none, and files want unit normals
@@ -72,6 +76,7 @@ def surface_of(avatar: records.Avatar, triangles: int = 20_000, texture: int = 2
         bones=which[cut],
         weights=words[cut],
         said=tuple(f"{count} {what} left out" for what, count in left_out.items() if count),
+        morphs=morphs,
     )
 
 
@@ -113,8 +118,17 @@ def _fewer(shell: Shell, triangles: int) -> Shell:
     return Shell(vertices.astype(np.float64), faces.astype(np.int64))
 
 
-def _skin(vertices: np.ndarray, splats: Splats, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Four bones [V,4] uint8 of each of vertices [V,3] m, and weights [V,4] uint16 that add up to 65535, from Gaussians nearby."""
-    rows, share = (part.numpy() for part in around(splats, torch.as_tensor(vertices)))
-    which, words, _ = heaviest((share[..., None] * weights[rows]).sum(1), 4, WORDS)
+def _skin(share: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Four bones [V,4] uint8 of each vertex, and weights [V,4] uint16 that add up to 65535, from `weights` [V,k,J] of Gaussians
+    nearby, by their `share` [V,k].
+    """
+    which, words, _ = heaviest((share[..., None] * weights).sum(1), 4, WORDS)
     return which, words
+
+
+def _morphs(face: Mien, near: Tensor, rows: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """How the shapes move vertices [52,V,3] m: as the Gaussians `rows` [V,k] around them, of those that are `near` [N]."""
+    moves = torch.zeros(len(face.moves), len(near), 3)
+    moves[:, face.rows] = face.moves.unflatten(1, (-1, 3))
+    ours = moves[:, near].numpy()
+    return np.stack([(share[..., None] * shape[rows]).sum(1) for shape in ours]).astype(np.float32)

@@ -15,10 +15,12 @@ import numpy as np
 
 from stages.formats.exchange.bone_names import Names
 from stages.formats.exchange.glb import TRIANGLES, VERTICES, Arrays, write_glb
-from stages.formats.exchange.skeleton import Skeleton, skeleton_of
+from stages.formats.exchange.skeleton import Skeleton, fingered
+from stages.gestures import FACE_NAMES
 from stages.records import Mesh, Rig, Take
 
 JPEG = [cv2.IMWRITE_JPEG_QUALITY, 92, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+MOVED = 2e-4  # m: a vertex that a shape moves less stays
 LINEAR, LINEAR_MIPMAPS, CLAMPED = 9729, 9987, 33071  # glTF's numbers
 
 
@@ -26,7 +28,7 @@ def write_avatar_glb(
     path: Path, rig: Rig, mesh: Mesh, takes: Sequence[Take], names: Names = "smpl", floor: float = 0.0
 ) -> None:
     """Write the avatar; the same avatar makes the same bytes. The floor of the T-pose is at the height `floor` m of the rig."""
-    arrays, content, skeleton = Arrays(), start("avatar"), skeleton_of(rig, names)
+    arrays, content, skeleton = Arrays(), start("avatar"), fingered(rig, names)
     stand = {"name": "stand", "translation": [0.0, -floor, 0.0]}
     first = add_figure(content, arrays, "body", skeleton, surface(content, mesh, arrays), stand)
     add_motions(content, arrays, skeleton, takes, first)
@@ -60,6 +62,8 @@ def add_figure(
     binds = arrays.add(skeleton.inverse_binds())
     content["skins"].append({"inverseBindMatrices": binds, "skeleton": first, "joints": joints})
     content["meshes"].append({"name": name, "primitives": [primitive]})
+    if "targets" in primitive:
+        content["meshes"][-1] |= {"weights": [0.0] * len(FACE_NAMES), "extras": {"targetNames": list(FACE_NAMES)}}
     content["scenes"][0]["nodes"] += [begin, begin + 1]
     return first
 
@@ -89,4 +93,8 @@ def surface(content: dict[str, Any], mesh: Mesh, arrays: Arrays) -> dict[str, An
     content["textures"].append({"source": number, "sampler": number})
     look = {"baseColorTexture": {"index": number}, "metallicFactor": 0, "roughnessFactor": 1}
     content["materials"].append({"name": "person", "pbrMetallicRoughness": look})
-    return {"attributes": attributes, "indices": indices, "material": number}
+    primitive = {"attributes": attributes, "indices": indices, "material": number}
+    if mesh.morphs is None:
+        return primitive
+    targets = [{"POSITION": arrays.add_few(shape, np.linalg.norm(shape, axis=1) > MOVED)} for shape in mesh.morphs]
+    return primitive | {"targets": targets}

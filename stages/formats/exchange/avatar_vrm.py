@@ -7,22 +7,64 @@ A GLB whose extension VRMC_vrm says which node is which bone of a person and wha
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from stages.formats.exchange.avatar_glb import add_figure, start, surface
-from stages.formats.exchange.bone_names import Names, bone_names
+from stages.formats.exchange.bone_names import Names, bone_names, finger_names
 from stages.formats.exchange.glb import Arrays, write_glb
-from stages.formats.exchange.skeleton import skeleton_of
+from stages.formats.exchange.skeleton import fingered
 from stages.formats.exchange.vrm_meta import VrmMeta
+from stages.gestures import FACE_NAMES
 from stages.records import Mesh, Rig
 
 VRM = "VRMC_vrm"
+PRESETS = {  # of VRM: of which shapes of the face each consists, and how much
+    "aa": {"jawOpen": 0.6},
+    "ih": {"jawOpen": 0.2, "mouthStretchLeft": 0.5, "mouthStretchRight": 0.5},
+    "ou": {"jawOpen": 0.15, "mouthPucker": 0.9},
+    "ee": {
+        "jawOpen": 0.15,
+        "mouthSmileLeft": 0.5,
+        "mouthSmileRight": 0.5,
+        "mouthStretchLeft": 0.3,
+        "mouthStretchRight": 0.3,
+    },
+    "oh": {"jawOpen": 0.4, "mouthFunnel": 0.8},
+    "blink": {"eyeBlinkLeft": 1.0, "eyeBlinkRight": 1.0},
+    "blinkLeft": {"eyeBlinkLeft": 1.0},
+    "blinkRight": {"eyeBlinkRight": 1.0},
+    "happy": {"mouthSmileLeft": 0.9, "mouthSmileRight": 0.9, "cheekSquintLeft": 0.4, "cheekSquintRight": 0.4},
+    "sad": {"mouthFrownLeft": 0.8, "mouthFrownRight": 0.8, "browInnerUp": 0.7},
+    "angry": {"browDownLeft": 0.9, "browDownRight": 0.9, "noseSneerLeft": 0.4, "noseSneerRight": 0.4},
+    "surprised": {"browInnerUp": 0.8, "browOuterUpLeft": 0.8, "browOuterUpRight": 0.8, "jawOpen": 0.3},
+    "relaxed": {"mouthSmileLeft": 0.3, "mouthSmileRight": 0.3, "eyeBlinkLeft": 0.25, "eyeBlinkRight": 0.25},
+}
 
 
 def write_avatar_vrm(path: Path, rig: Rig, mesh: Mesh, meta: VrmMeta, names: Names = "vrm", floor: float = 0.0) -> None:
     """Write the avatar; the same avatar makes the same bytes. The floor of the T-pose is at the height `floor` m of the rig."""
     arrays, content = Arrays(), start("avatar")
     stand = {"name": "stand", "translation": [0.0, -floor, 0.0]}
-    first = add_figure(content, arrays, "body", skeleton_of(rig, names), surface(content, mesh, arrays), stand)
+    first = add_figure(content, arrays, "body", fingered(rig, names), surface(content, mesh, arrays), stand)
     bones = {bone: {"node": first + joint} for joint, bone in enumerate(bone_names("vrm"))}
+    if rig.finger_joints is not None:
+        fingers = first + len(rig.joints) + (0 if rig.clothes is None else len(rig.clothes))
+        bones |= {bone: {"node": fingers + k} for k, bone in enumerate(finger_names("vrm"))}
     about = {"specVersion": "1.0", "meta": meta.as_written(), "humanoid": {"humanBones": bones}}
+    if mesh.morphs is not None:
+        about["expressions"] = expressions(first - 2)
     write_glb(path, content | {"extensionsUsed": [VRM], "extensions": {VRM: about}}, arrays)
+
+
+def expressions(node: int) -> dict[str, Any]:
+    """VRM's expressions by the morph targets of the mesh at `node`: its presets, and each shape by its name, for face tracking."""
+
+    def bound(shapes: dict[str, float]) -> dict[str, Any]:
+        return {
+            "morphTargetBinds": [
+                {"node": node, "index": FACE_NAMES.index(name), "weight": weight} for name, weight in shapes.items()
+            ]
+        }
+
+    presets = {name: bound(shapes) for name, shapes in PRESETS.items()}
+    return {"preset": presets, "custom": {name: bound({name: 1.0}) for name in FACE_NAMES}}

@@ -55,6 +55,23 @@ class Arrays:
         self.data += bytes(-len(self.data) % 4)
         return len(self.accessors) - 1
 
+    def add_few(self, rows: np.ndarray, kept: np.ndarray) -> int:
+        """Store rows [N,3] float32 of which all but those `kept` bool [N] are taken to be 0."""
+        at = np.flatnonzero(kept)
+        few = np.zeros((1, 3), np.float32) if len(at) == 0 else rows[at].astype(np.float32)
+        at = at if len(at) else np.zeros(1, int)
+        narrow, kind = (np.uint16, 5123) if len(rows) < 1 << 16 else (np.uint32, 5125)
+        views = [self.add_bytes(part.tobytes()) for part in (at.astype(narrow), few)]
+        whole = np.concatenate([few, np.zeros((int(len(rows) > len(few)), 3), np.float32)])
+        sparse = {
+            "count": len(at),
+            "indices": {"bufferView": views[0], "componentType": kind},
+            "values": {"bufferView": views[1]},
+        }
+        accessor = {"componentType": 5126, "count": len(rows), "type": "VEC3", "sparse": sparse}
+        self.accessors.append(accessor | {"min": whole.min(0).tolist(), "max": whole.max(0).tolist()})
+        return len(self.accessors) - 1
+
     def add_bytes(self, data: bytes) -> int:
         """Store a file, such as a picture; the number of its buffer view."""
         self.views.append({"buffer": 0, "byteOffset": len(self.data), "byteLength": len(data)})

@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from stages.formats.exchange.bone_names import Names, bone_names
+from stages.formats.exchange.bone_names import Names, bone_names, finger_names
 from stages.formats.exchange.glb import Arrays
+from stages.gestures import FINGER_NAMES
 from stages.records import JOINT_NAMES, JOINTS, Rig, Take
 
 GOES_ON = {"pelvis": "spine1", "spine3": "neck"}
@@ -83,6 +84,24 @@ def skeleton_of(rig: Rig, names: Names = "smpl") -> Skeleton:
         parents = np.concatenate([parents, rig.clothes.hang_on])
         called = (*called, *(f"cloth_{k:02d}" for k in range(len(rig.clothes))))
     return Skeleton(called, parents, places, np.stack([_axes(along) for along in _along(places, parents)]))
+
+
+def fingered(rig: Rig, names: Names = "smpl") -> Skeleton:
+    """The same with the finger bones of a rig, if it has some, after the bones of clothes: for meshes, which hang on them."""
+    bare = skeleton_of(rig, names)
+    if rig.finger_joints is None:
+        return bare
+    joints, tips = np.split(rig.finger_joints, [len(FINGER_NAMES)])
+    chains = np.concatenate([joints.reshape(10, 3, 3), tips[:, None]], 1)
+    ways = np.diff(chains, axis=1).reshape(-1, 3)
+    first, hands = len(bare.names), [JOINT_NAMES.index(f"{side}_hand") for side in ("left", "right")]
+    parents = [hands[bone // 15] if bone % 3 == 0 else first + bone - 1 for bone in range(len(FINGER_NAMES))]
+    return Skeleton(
+        (*bone_names(names, True), *bare.names[JOINTS:], *finger_names(names)),
+        np.concatenate([bare.parents, parents]),
+        np.concatenate([bare.places, joints]),
+        np.concatenate([bare.turns, np.stack([_axes(way / np.linalg.norm(way)) for way in ways])]),
+    )
 
 
 def _along(places: np.ndarray, parents: np.ndarray) -> np.ndarray:

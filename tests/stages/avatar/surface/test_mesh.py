@@ -10,10 +10,13 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.body.skinning import all_bones, skin
+from stages.avatar.drawing.attach import attach
 from stages.avatar.drawing.avatar import bones_of, load_avatar, pose_avatar
 from stages.avatar.surface import mesh as surface
 from stages.avatar.surface.mesh import NoSurfaceError, surface_of
 from stages.formats.body_model import read_body_model
+from stages.formats.hands_face import read_hands_face
+from stages.gestures import FACE_NAMES
 from tests.made.clothes import dress, some_clothes
 from tests.made.meshes import balls, coarse, edges, solid_avatar
 from tests.made.said import holds
@@ -136,3 +139,17 @@ def test_pictures_that_give_colours_are_three_quarters_of_the_texture_within_bou
 
 def test_a_hundred_gaussians_make_a_coarse_mesh(avatar):
     assert len(surface_of(some(avatar, 100, scales=0.04), 2000, 64).faces) > 100
+
+
+@pytest.mark.slow
+def test_fingers_and_a_face_move_the_mesh_as_they_move_the_gaussians(avatar):
+    """Vertices of a hand hang on finger bones, and a jaw opens the mouth's vertices as far as the Gaussians around."""
+    record, jaw = attach(avatar, MODEL, read_hands_face(MODEL)), FACE_NAMES.index("jawOpen")
+    mesh = surface_of(record, 3000, 64)
+    assert apart(load_avatar(record).resting.means.numpy(), mesh.vertices, mesh.faces) < 0.03
+    heavy = mesh.bones[np.arange(len(mesh.bones)), mesh.weights.argmax(1)]
+    fingers = np.linalg.norm(mesh.vertices[heavy >= 24][:, None] - record.fingers.joints, axis=2).min(1)
+    assert (heavy >= 24).sum() > 20 and fingers.max() < 0.06
+    moved = np.linalg.norm(mesh.morphs[jaw], axis=1)
+    near = cKDTree(mesh.vertices[moved > 0.005]).query(load_avatar(record).resting.means.numpy()[record.face.rows])[0]
+    assert 0.01 < moved.max() < 0.045 and near.min() < 0.03 and mesh.morphs[jaw, :, 1].min() < -0.01

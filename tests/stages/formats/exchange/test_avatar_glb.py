@@ -12,7 +12,8 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from stages.avatar.body.skinning import all_bones, skin
+from stages.avatar.body.skinning import WORDS, all_bones, heaviest, skin
+from stages.avatar.drawing.attach import attach
 from stages.avatar.drawing.avatar import bones_of, load_avatar
 from stages.avatar.drawing.rig import rig_of
 from stages.avatar.drawing.takes import _poses, hung
@@ -20,8 +21,12 @@ from stages.avatar.motion.takes import made_takes
 from stages.avatar.rasterize import Camera
 from stages.formats.body_model import read_body_model
 from stages.formats.exchange.avatar_glb import start, surface, write_avatar_glb
+from stages.formats.exchange.avatar_vrm import write_avatar_vrm
 from stages.formats.exchange.bone_names import bone_names
 from stages.formats.exchange.glb import Arrays, Glb
+from stages.formats.exchange.vrm_meta import VrmMeta
+from stages.formats.hands_face import read_hands_face
+from stages.gestures import FACE_NAMES
 from tests.made import judges
 from tests.made.clothes import dress, some_clothes
 from tests.made.gltf import TYPES, array, skinned
@@ -30,6 +35,7 @@ from tests.made.three_page import opened
 from tests.made.tiny import make_avatar
 
 MODEL = read_body_model()
+JAW = FACE_NAMES.index("jawOpen")
 FLOOR = -1.2  # m: where the T-pose's soles are
 
 
@@ -166,3 +172,65 @@ def test_blender_poses_the_mesh_as_we_do_and_its_bones_lie_along_the_limbs(tmp_p
         held(away["body"][1], 1.5, f"largest distance of a vertex in {name}, mm")
     arm = np.array(found["bones"]["left_elbow"])
     assert arm @ [1, 0, 0] > 0.9, "towards the hand"
+
+
+@pytest.fixture(scope="module")
+def handed(tmp_path_factory):
+    """The body's mesh on finger bones, with the jaw's shape alone: as a file, and its vertices' weights for them."""
+    rig = read_hands_face(MODEL)
+    weights = np.concatenate([MODEL.lbs_weights, rig.finger_weights], 1).astype(float)
+    weights[:, 22:24] -= rig.finger_weights.reshape(-1, 2, 15).sum(2)
+    bones, words, _ = heaviest(weights.clip(0), 4, WORDS)
+    morphs = np.zeros((52, len(weights), 3), np.float32)
+    morphs[JAW, :40] = [0, -0.03, 0.01]
+    mesh = replace(body_mesh(MODEL), bones=bones, weights=words, morphs=morphs)
+    record = attach(make_avatar(MODEL, every=20), MODEL, rig)
+    path = tmp_path_factory.mktemp("hands")
+    write_avatar_glb(path / "avatar.glb", rig_of(record), mesh, made_takes(record.joints[0])[:1], "vrm", FLOOR)
+    write_avatar_vrm(path / "avatar.vrm", rig_of(record), mesh, VrmMeta(), "mixamo", FLOOR)
+    return path, mesh, weights
+
+
+def test_a_finger_bone_that_is_turned_moves_its_finger_alone(handed):
+    path, mesh, weights = handed
+    glb = Glb(path / "avatar.glb")
+    rest = skinned(glb, None)
+    assert np.linalg.norm(rest + [0, FLOOR, 0] - mesh.vertices, axis=1).max() < 1e-4
+    nodes = {node["name"]: node for node in glb.content["nodes"]}
+    turn = Rotation.from_quat(nodes["leftIndexProximal"]["rotation"]) * Rotation.from_euler("x", 60, degrees=True)
+    nodes["leftIndexProximal"]["rotation"] = turn.as_quat().tolist()
+    far = np.linalg.norm(skinned(glb, None) - rest, axis=1)
+    index = weights[:, 24 + np.arange(3)].sum(1)
+    assert far[index == 0].max() < 1e-6 and far[index > 0.99].min() > 1e-3 and far.max() > 0.05
+    assert "leftMiddleProximal" in nodes and "leftPalm" in nodes and "rightThumbMetacarpal" in nodes
+
+
+def test_shapes_of_the_face_are_morph_targets_by_name(handed):
+    path, mesh, _ = handed
+    content = Glb(path / "avatar.glb").content
+    (one,) = content["meshes"]
+    (primitive,) = one["primitives"]
+    assert one["extras"]["targetNames"] == list(FACE_NAMES) and len(primitive["targets"]) == len(one["weights"]) == 52
+    jaw, brow = (content["accessors"][primitive["targets"][k]["POSITION"]] for k in (JAW, 0))
+    assert jaw["count"] == len(mesh.vertices) and jaw["sparse"]["count"] == 40 and jaw["min"][1] == pytest.approx(-0.03)
+    assert brow["sparse"]["count"] == 1 and brow["min"] == brow["max"] == [0, 0, 0]
+
+
+def test_a_vrm_has_fingers_and_expressions(handed):
+    content = Glb(handed[0] / "avatar.vrm").content
+    about = content["extensions"]["VRMC_vrm"]
+    bones = {bone: content["nodes"][one["node"]]["name"] for bone, one in about["humanoid"]["humanBones"].items()}
+    assert (
+        bones["leftMiddleProximal"] == "mixamorig:LeftHandMiddle1"
+        and bones["rightLittleDistal"] == "mixamorig:RightHandPinky3"
+    )
+    assert len(bones) == len(set(bones.values())) == 24 - 2 + 30
+    (said,) = about["expressions"]["preset"]["aa"]["morphTargetBinds"]
+    assert said["index"] == JAW and content["nodes"][said["node"]]["mesh"] == 0
+    assert set(about["expressions"]["custom"]) == set(FACE_NAMES)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["avatar.glb", "avatar.vrm"])
+def test_the_validator_of_khronos_complains_of_no_finger_and_no_face(handed, name):
+    assert judges.faults(handed[0] / name) == []
