@@ -29,6 +29,7 @@ PLACES = 3  # that are filled, at most: somebody may stand here, then there
 SMALL = 2e-3  # of a picture: places of fewer pixels stay as they are
 OTHER = 0.5  # of the first place's pixels: a further one has as many at least
 BESIDE = 0.003  # of the longer side: what is so near a person's outline shows little of the scene. 0: a trace of the ghost stays
+HALO = 0.005  # of the longer side: what is known so near what is not has a little of the person's colours. 0: a grey figure
 SELDOM = 0.1  # of the frames: what fewer show is taken from them
 CLEAR = 8.0  # px from people's outlines, from where on a frame's colours count in full
 INSIDE = 0.8  # of the pixels that a Gaussian paints: with more in a hole it goes. 0.5: the phone clip loses 0.06 dB
@@ -93,27 +94,34 @@ def seen_behind(splats: Splats, views: Views, key: int, frames: list[int], cast:
     Colours are a mean over frames, without shadows; those count most in which it is lit and far from people's outlines.
     """
     height, width = views.masks.shape[1:]
-    person = _person(views, key)
+    person = _clear(views, key) == 0
     inverse = _inverse_depth(splats, views, key, person, cast)
-    rows, columns = np.mgrid[:height, :width]
-    points = unproject(np.stack([columns[person], rows[person]], 1) + 0.5, inverse[person], *_camera(views, key))
+    everywhere = unproject(np.argwhere(np.ones_like(person))[:, ::-1] + 0.5, inverse.ravel(), *_camera(views, key))
+    points = everywhere[person.ravel()]
     times, weights, sums = np.zeros(len(points)), np.full(len(points), 1e-6), np.zeros((len(points), 3))
     for i in frames:
         pixels, z = project(points, *_camera(views, i))
         column, row = np.floor(pixels).clip(-1, max(height, width)).astype(int).T
         shown = (z > 0) & (row >= 0) & (row < height) & (column >= 0) & (column < width)
-        at = row[shown], column[shown]
-        clear = cv2.distanceTransform((~_person(views, i)).astype(np.uint8), cv2.DIST_L2, 3)[at].clip(0, CLEAR)
-        times[shown] += clear > 0
-        weights[shown] += clear * _light(cast, i, points[shown])
-        sums[shown] += clear[:, None] * _colours(views, i)[at]
+        clear = _clear(views, i)
+        shown[shown] = clear[row[shown], column[shown]] > 0
+        counts = clear[row[shown], column[shown]]
+        times[shown] += 1
+        weights[shown] += counts * _light(cast, i, points[shown])
+        sums[shown] += counts[:, None] * _colours(views, i)[row[shown], column[shown]]
     often = np.full(person.shape, len(frames))
     often[person] = times
-    everywhere = unproject(np.stack([columns, rows], -1).reshape(-1, 2) + 0.5, inverse.ravel(), *_camera(views, key))
     colours = _colours(views, key) / _light(cast, key, everywhere).reshape(height, width, 1)
     colours[person] = sums / weights[:, None]
     never = often == 0
     return Behind(colours.clip(0, 1), never, ~never & (often < SELDOM * len(frames)), inverse)
+
+
+def _clear(views: Views, frame: int) -> np.ndarray:
+    """How far [H,W] pixels of a frame lie outside the rim about its people, CLEAR px at most."""
+    beside = (views.masks[frame] < 128).byte().cpu().numpy()
+    away = cv2.distanceTransform(beside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return (away - BESIDE * max(away.shape)).clip(0, CLEAR)
 
 
 def _colours(views: Views, frame: int) -> np.ndarray:
@@ -133,9 +141,10 @@ def _light(cast: Cast, frame: int, points: np.ndarray) -> np.ndarray:
 
 def _surface(splats: Splats, views: Views, key: int, found: Behind) -> list[Tensor] | None:
     """What fills the places `found` in frame `key`: which is invented bool [P], points [P,3] m, colours [P,3] and sigmas [P] m;
-    None where nothing tells them. What is known beside people has a little of their colours, and is no model for the rest.
+    None where nothing tells them.
     """
-    picture, place, inverse = complete(found.colours, _widened(found.never)), found.never | found.seldom, found.inverse
+    unknown = (dilated(torch.as_tensor(found.never).float(), HALO) > 0.5).numpy()
+    picture, place, inverse = complete(found.colours, unknown), found.never | found.seldom, found.inverse
     if picture is None:
         return None
     picture = np.where(found.seldom[..., None], found.colours, picture)
@@ -147,14 +156,6 @@ def _surface(splats: Splats, views: Views, key: int, found: Behind) -> list[Tens
     sizes = step * math.sqrt(ROUND**2 + blur) / inverse[row, column] / K[0, 0]
     surface = [torch.as_tensor(part).to(splats.means) for part in (points, picture[row, column], sizes)]
     return [torch.as_tensor(found.never[row, column]).to(splats.means.device), *surface]
-
-
-def _person(views: Views, frame: int) -> np.ndarray:
-    return _widened(views.masks[frame].cpu().numpy() / 255)
-
-
-def _widened(mask: np.ndarray) -> np.ndarray:
-    return (dilated(torch.as_tensor(mask).float(), BESIDE) > 0.5).numpy()
 
 
 def _drawn(sets: Sequence[Splats], views: Views, frame: int) -> Rendering:

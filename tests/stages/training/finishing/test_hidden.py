@@ -125,12 +125,12 @@ def test_a_camera_that_looks_the_other_way_shows_nothing_of_what_is_behind_it():
 
 
 def test_what_one_frame_shows_is_taken_from_it_and_not_invented():
-    scene, views = wall([0.0] * 24)
+    scene, views = wall([0.0] * 12)
     clean = drawn(scene, views, 0).image.detach()
     views = views._replace(masks=torch.cat([views.masks[1:], masks_of([0.0], 3.0)]))
     views.images[-1, 40:56, 40:56] = torch.tensor([200, 0, 0])  # a poster that no patch can know of
     haunt(scene)
-    invented = fill_hidden(scene, views, list(range(24)), cast_of())
+    invented = fill_hidden(scene, views, list(range(12)), cast_of())
     image = drawn(scene, views, 0).image
     assert not invented.any() and (image[44:52, 44:52] - torch.tensor([200, 0, 0]) / 255).abs().mean() < 0.1
     beside = (views.masks[0] > 0).clone()
