@@ -32,6 +32,8 @@ class HandAngles:
         lengths = np.linalg.norm(bones, axis=-1, keepdims=True)
         along = bones / lengths
         self.palm = np.concatenate([np.zeros((1, 3)), chains[[0, 1, 3, 2], 0]])
+        """The wrist and where index, middle, ring and little finger begin [5,3] m, from the wrist, as the network has them."""
+        self.roots = _tensor(chains[:, 0])
         inward = _unit(np.cross(self.palm[1], self.palm[4]))
         aims, flexes = np.empty((2, FINGERS, 3))
         for finger in range(FINGERS):
@@ -46,7 +48,7 @@ class HandAngles:
         self.rest = torch.tensor(np.r_[rest.ravel(), np.zeros(3), bent[-1, 1:]], dtype=torch.float32)
         """The angles [21] of the hand at rest."""
         self.low, self.high, self.relaxed, self.spread = torch.tensor(FINGER * 4 + THUMB, dtype=torch.float32).T
-        self.along, self.bones, self.still = _tensor(along), _tensor(bones), torch.eye(3)
+        self.along, self.lengths, self.still = _tensor(along), _tensor(lengths), torch.eye(3)
         self.flexing, self.spreading = cross_matrix(_tensor(flexes))[:, None], cross_matrix(_tensor(inward))
 
     def turns(self, angles: Tensor) -> Tensor:
@@ -62,21 +64,17 @@ class HandAngles:
 
     def directions(self, angles: Tensor) -> Tensor:
         """Directions [...,5,3,3] of the bones, unit, in the axes of the palm at rest."""
-        return (self._carried(angles) @ self.along[..., None])[..., 0]
+        first, middle, last = self.turns(angles).unbind(-3)
+        second = first @ middle
+        return (torch.stack([first, second, second @ last], -3) @ self.along[..., None])[..., 0]
 
     def points(self, angles: Tensor) -> Tensor:
         """Ends [...,5,3,3] m of the bones against the roots of their fingers, in the axes of the palm at rest."""
-        return (self._carried(angles) @ self.bones[..., None])[..., 0].cumsum(-2)
+        return (self.lengths * self.directions(angles)).cumsum(-2)
 
     def rotvecs(self, angles: Tensor) -> Tensor:
         """The turns [...,15,3] rad as SMPL-X takes them."""
         return rotvec_from_matrix(self.turns(angles)).flatten(-3, -2)
-
-    def _carried(self, angles: Tensor) -> Tensor:
-        """Turns [...,5,3,3,3] of the bones against the palm."""
-        first, middle, last = self.turns(angles).unbind(-3)
-        second = first @ middle
-        return torch.stack([first, second, second @ last], -3)
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:

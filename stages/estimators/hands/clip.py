@@ -45,12 +45,13 @@ def hands_of(
     read &= read.sum(0) >= ENOUGH
     hand = right_hand(rig, model, poses.betas)
     turns, shape, error = np.zeros((count, 2, 15, 3)), np.zeros((2, 15, 3)), np.zeros((count, 2))
-    points, facing, world = np.zeros((count, 2, 5, 2)), np.zeros((count, 2, 3, 3)), np.zeros((2, count, POINTS, 3))
+    points, facing, world = np.zeros((count, 2, POINTS, 2)), np.zeros((count, 2, 3, 3)), np.zeros((2, count, POINTS, 3))
     for i, s in zip(*np.nonzero(read)):
         world[s, i] = found[i][s].world * MIRROR[s]
-        points[i, s] = found[i][s].xy[list(PALM)]
+        points[i, s] = found[i][s].xy
     if read.any():
-        bent = bend(hand, world, read.T, times)
+        mirrored = points * MIRROR[:, None, :2]
+        bent = bend(hand, world, np.swapaxes(mirrored, 0, 1), where.scales.T, read.T, times)
         read = bent.fits.T & (bent.fits.T.sum(0) >= ENOUGH)
         for s in np.flatnonzero(read.any(0)):
             middle = bent.angles[s][torch.tensor(read[:, s])].median(0).values
@@ -59,7 +60,7 @@ def hands_of(
             error[:, s] = bent.error[s]
             facing[:, s] = MIRROR[s][:, None] * bent.turns[s] * MIRROR[s]
     hands = HandPoses(poses.names, turns, shape, read, error, where.lengths)
-    return hands, SeenPalms(points, facing, read, where.lengths, palms_of(rig, model, poses.betas))
+    return hands, SeenPalms(points[:, :, list(PALM)], facing, read, where.lengths, palms_of(rig, model, poses.betas))
 
 
 def right_hand(rig: HandsFace, model: BodyModel, betas: np.ndarray) -> HandAngles:

@@ -28,11 +28,13 @@ SAME = 0.25  # lengths: two hands' points that are nearer to each other are one 
 
 @dataclass(frozen=True)
 class Places:
-    """Where a clip's hands must be, left and right: `wrists` and `roots` [F,2,2] px, of the middle finger, `lengths` [F,2] px."""
+    """Where a clip's hands must be, left and right: `wrists` and `roots` [F,2,2] px, of the middle finger, `lengths` [F,2] px, and
+    how many px a metre has there, `scales` [F,2]."""
 
     wrists: np.ndarray
     roots: np.ndarray
     lengths: np.ndarray
+    scales: np.ndarray
 
     def roi(self, frame: int, side: int) -> Roi:
         """The crop in which a hand is looked for, the forearm below it."""
@@ -52,8 +54,8 @@ def places(model: BodyModel, poses: BodyPoses, cameras: Cameras) -> Places:
     views = rescale_viewmats(cameras.viewmats, poses.world_from_sfm)
     pixels, depth = project(joints[:, [*WRISTS, *HANDS]], views, cameras.Ks)
     size = LONG * np.linalg.norm(rest[list(HANDS)] - rest[list(WRISTS)], axis=1)
-    lengths = cameras.Ks[:, 0, 0, None] * size / depth[:, :2].clip(1e-3) * (depth[:, :2] > 1e-3)
-    return Places(pixels[:, :2], pixels[:, 2:], lengths)
+    scales = cameras.Ks[:, 0, 0, None] / depth[:, :2].clip(1e-3)
+    return Places(pixels[:, :2], pixels[:, 2:], scales * size * (depth[:, :2] > 1e-3), scales)
 
 
 def seen_hands(image: Callable[[int], np.ndarray], where: Places, looked: np.ndarray) -> list[list[SeenHand | None]]:

@@ -11,7 +11,12 @@ from stages.records import BodyPoses, Cameras
 from tests.made.hands import MODEL, seen
 
 SIZE = (400, 300)
-WHERE = Places(np.array([[[100.0, 200], [300, 200]]]), np.array([[[100.0, 165], [300, 165]]]), np.array([[60.0, 60.0]]))
+WHERE = Places(
+    np.array([[[100.0, 200], [300, 200]]]),
+    np.array([[[100.0, 165], [300, 165]]]),
+    np.array([[60.0, 60.0]]),
+    np.array([[330.0, 330.0]]),
+)
 BOTH = [seen(100, 200), seen(300, 200)]
 
 

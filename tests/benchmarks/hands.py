@@ -1,0 +1,107 @@
+"""How far fingers are off that were read from drawn hands, whose pose is known.
+
+    python -m tests.benchmarks.hands [--sizes 110 60 40 22] [--hands 90]
+
+The free body's right hand in poses from relaxed to wild, and from open to a fist, is drawn in plain shading before a blurred
+background, palm or back to the camera, turned by up to 60 degrees, and shown to the hand network. No frame helps another.
+Printed: which share is read, how far joints and tips are from the truth in the palm's axes, how far they would be of a hand at
+rest, and how far the palm is turned otherwise. The network must have been fetched.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+
+from stages.avatar.body.fingers import bent_skin
+from stages.avatar.body.smpl import Body, vertex_normals
+from stages.avatar.kernels.mesh import fill
+from stages.estimators.hands.bending import bend
+from stages.estimators.hands.network import POINTS, HandNetwork
+from stages.estimators.hands.seeing import SIDE, SURE, WINDOW
+from stages.estimators.person.crops import Roi
+from tests.made.hands import MODEL, RIG, hand, waving
+
+LONG, AWAY = 0.18, 2.5  # m: length of the hand, distance of the camera
+SKIN = np.array([215.0, 160, 135])
+LIGHT = np.array([-0.3, -0.6, -0.7]) / np.linalg.norm([0.3, 0.6, 0.7])
+UP = np.array([[0.0, 0, -1], [1, 0, 0], [0, 1, 0]]) * [
+    [-1],
+    [1],
+    [1],
+]  # fingers up in the picture, the palm to the camera
+
+
+def poses(count: int, rng: np.random.Generator) -> torch.Tensor:
+    """Angles [count,21]: a third about the relaxed hand, a third wild, a third that curl from open to a fist."""
+    bones, third = hand(), count // 3
+    near = bones.relaxed + 0.8 * bones.spread * torch.tensor(rng.standard_normal((third, 21)), dtype=torch.float32)
+    wild = waving(200)[torch.tensor(rng.choice(200, third, replace=False))]
+    curled = bones.rest.repeat(count - 2 * third, 1)
+    for pose in curled:
+        curl = torch.tensor(rng.random() * rng.integers(2), dtype=torch.float32)
+        for joint, most in ((1, 1.3), (2, 1.5), (3, 0.8)):
+            pose[joint:16:4] = 0.1 + most * curl
+    return torch.cat([near, wild, curled]).clamp(bones.low, bones.high)
+
+
+def view(rng: np.random.Generator) -> np.ndarray:
+    """A turn [3,3] of the hand at rest into camera axes."""
+    about = [rng.uniform(-40, 40), rng.uniform(-40, 40), rng.uniform(-60, 60) + 180 * rng.integers(2)]
+    return Rotation.from_euler("zxy", about, degrees=True).as_matrix() @ UP
+
+
+def drawn(angles: torch.Tensor, turn: np.ndarray, size: float, rng: np.random.Generator) -> tuple[np.ndarray, Roi]:
+    """A picture of a hand `size` px long, and the crop in which it is looked for."""
+    rest, joints = Body(MODEL).rest(torch.zeros(10))
+    faces = MODEL.faces[(rest[:, 0] < joints[19, 0] + 0.02).numpy()[MODEL.faces].all(1)].astype(np.int64)
+    turns = torch.stack([torch.zeros(15, 3), hand().rotvecs(angles)])
+    skin, side = bent_skin(RIG, rest, turns), int(4 * size)
+    normals = vertex_normals(skin, torch.as_tensor(faces)).numpy() @ turn.T
+    there = (skin - joints[23]).numpy() @ turn.T + [0, 0, AWAY]
+    there[:, 2] = there[:, 2].clip(0.3)
+    K = np.array([[size * AWAY / LONG, 0, side / 2], [0, size * AWAY / LONG, side / 2], [0, 0, 1]])
+    _, face, shares = fill(there, faces, K, side, side)
+    picture = np.kron(rng.normal(140, 30, (8, 8, 3)), np.ones((-(-side // 8), -(-side // 8), 1)))[:side, :side]
+    lit = (0.45 + 0.6 * (normals @ LIGHT).clip(0, 1))[faces[face[face >= 0]]]
+    picture[face >= 0] = SKIN * (lit * shares[face >= 0]).sum(1, keepdims=True)
+    wrist = (joints[21] - joints[23]).numpy() @ turn.T + [0, 0, AWAY]
+    dx, dy = -wrist[:2] / wrist[2]
+    return picture.clip(0, 255).astype(np.uint8), Roi(side / 2, side / 2, WINDOW * size, float(np.arctan2(dx, -dy)))
+
+
+def measured(size: float, count: int, network: HandNetwork) -> str:
+    """One line of the table, for hands `size` px long."""
+    rng = np.random.default_rng(0)
+    angles, turns = poses(count, rng), [view(rng) for _ in range(count)]
+    world, xy, sure = np.zeros((1, count, POINTS, 3)), np.zeros((1, count, POINTS, 2)), np.zeros((1, count), bool)
+    for i, turn in enumerate(turns):
+        seen = network.read(*drawn(angles[i], turn, size, rng), False)
+        world[0, i], xy[0, i], sure[0, i] = seen.world, seen.xy, seen.presence >= SURE and seen.side >= SIDE
+    bent = bend(hand(), world, xy, np.full((1, count), size / LONG), sure, 5.0 * np.arange(count))
+    read, truth = bent.fits[0], hand().points(angles)
+    off, still = (
+        100 * (hand().points(one) - truth).norm(dim=-1).numpy()[read] for one in (bent.angles[0], hand().rest)
+    )
+    palm = [np.degrees(Rotation.from_matrix(a @ b.T).magnitude()) for a, b in zip(bent.turns[0], turns, strict=True)]
+    parts = [
+        f"{100 * read.mean():3.0f} % read, joints {np.median(off):.2f} cm off in the median, {off.mean():.2f} in the mean"
+    ]
+    parts += [f"{100 * bent.error[0][read].mean():.2f} expected", f"at rest {np.median(still):.2f}"]
+    return f"{size:5.0f} px: {', '.join(parts)}; palm {np.median(np.array(palm)[read]):.0f} degrees off"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sizes", type=float, nargs="+", default=[110, 60, 40, 22])
+    parser.add_argument("--hands", type=int, default=90)
+    args, network = parser.parse_args(), HandNetwork()
+    for size in args.sizes:
+        print(measured(size, args.hands, network), flush=True)
+
+
+if __name__ == "__main__":
+    main()
