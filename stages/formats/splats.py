@@ -15,7 +15,7 @@ from stages.formats.clothes import clothes_of
 from stages.formats.gestures import gesture_arrays, gestures_of
 from stages.records import JOINTS, Avatar, Scene
 
-WHOLE = {"parents": np.int32, "version": np.int32, "invented": np.uint8}
+STORED = {"parents": np.int32, "version": np.int32, "invented": np.uint8, "normals": np.float16}
 VERSION = 2  # of files with clothes, the others have 1; those of 0.1.0 and 0.2.0 say none
 HINT = "train again: `hugs run VIDEO train --force`"
 HIGHER = (0, 3, 8, 15)  # coefficients a colour beside the first, for degrees 0 to 3
@@ -36,7 +36,7 @@ S = TypeVar("S", bound=Scene)
 
 
 def write_splats(path: Path, splats: Scene | Avatar) -> None:
-    """Write a scene or an avatar as an .npz of float32 arrays (parents int32), without pickles.
+    """Write a scene or an avatar as an .npz without pickles, of float32 arrays but for those of STORED.
 
     `antialias`, `invented`, `clothes`, `casters`, `normals`, `fingers` and `face` get arrays only where set, see `gesture_arrays`;
     `version` is that which first had clothes with bones, else 1.
@@ -53,7 +53,7 @@ def write_splats(path: Path, splats: Scene | Avatar) -> None:
         arrays |= dict(zip(CASTERS, splats.casters, strict=True))
     if isinstance(splats, Avatar) and splats.normals is not None:
         arrays["normals"] = np.asarray(splats.normals)
-    arrays = {k: v.astype(WHOLE.get(k, np.float32)) for k, v in arrays.items()}
+    arrays = {k: v.astype(STORED.get(k, np.float32)) for k, v in arrays.items()}
     write_npz(path, arrays | (gesture_arrays(splats) if isinstance(splats, Avatar) else {}))
 
 
@@ -97,7 +97,7 @@ def gathered(kind: type[S], arrays: Mapping[str, np.ndarray], name: str, hint: s
             parts = [checked(arrays[key], shape, key, name, hint) for key, shape in CASTERS.items()]
             more["casters"] = (parts[0], parts[1])
         if "normals" in arrays:
-            more["normals"] = checked(arrays["normals"], (rows, 3), "normals", name, hint)
+            more["normals"] = checked(arrays["normals"], (rows, 3), "normals", name, hint).astype(np.float32)
     found = kind(**more | {key: checked(arrays[key], shapes[key], key, name, hint) for key in _always(kind)})
     if facts := impossible(found):
         raise StageError(f"{name} is damaged", hint, facts)
