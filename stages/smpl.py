@@ -47,8 +47,11 @@ def check(
     body_model: Path | None = None,
 ) -> None:
     """See `contract.StageModule`."""
+    from stages.estimators import assets
     from stages.estimators.bodyfit.inputs import check_given
 
+    if body_model is None:  # an SMPL model has no fingers
+        assets.path("hand_landmark_full.tflite")
     check_given(video, smpl_fit, body_model, landmarks)
 
 
