@@ -16,7 +16,7 @@ def main(run: str, other: str, out: str) -> None:
     clip, floor = first.motions["clip"], first.floor
     assert floor is not None, "the folder of a run has a floor"
     middle = len(clip) // 2
-    body_pose, orient, transl = clip[middle]
+    body_pose, orient, transl = clip[middle][:3]
     person = first.pose(body_pose, orient, transl)
     beside = transl + 0.9 * np.cross(floor.up, floor.ahead)  # m to the left of who looks ahead
     heights = (second.pose(body_pose, orient, beside).means - floor.point) @ floor.up

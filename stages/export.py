@@ -15,7 +15,7 @@ from stages.contract import Job, StageError
 from stages.formats.exchange.limits import held, unmarked
 from stages.formats.exchange.vrm_meta import VrmMeta
 from stages.formats.facts import Listing, read_facts
-from stages.formats.people import folder_of, job_of, people_of
+from stages.formats.people import folder_of, job_of, model_of, people_of
 
 if TYPE_CHECKING:
     from stages.avatar.motion.placing import Soles
@@ -71,7 +71,9 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
     """
     from stages.avatar.drawing.rig import rig_of
     from stages.avatar.motion.placing import Soles
+    from stages.filming.clip_cast import completed
     from stages.filming.clip_page import clip_page
+    from stages.formats.body_model import read_body_model
     from stages.formats.effects import read_effects
     from stages.formats.ground import read_ground, write_ground
     from stages.formats.splats import read_avatar, read_scene
@@ -88,7 +90,7 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
         there, out = folder_of(train, person), folder_of(job.out, person)
         own = job if len(people) == 1 else replace(job_of(job, person), out=out)
         own.out.mkdir(parents=True, exist_ok=True)
-        avatar = read_avatar(there / "avatar.npz")
+        avatar = completed(read_avatar(there / "avatar.npz"), read_body_model(model_of(smpl, person)))
         shutil.copyfile(there / "avatar.npz", own.out / "avatar.npz")
         around = scene if person == 1 else None
         own.note(f"avatar {len(avatar)} Gaussians" + (f", scene {len(around)}" if around else ""))

@@ -9,7 +9,7 @@ import numpy as np
 from stages.avatar.motion.moves import clip_move, made_moves
 from stages.avatar.motion.placing import Soles
 from stages.contract import version
-from stages.filming.clip_cast import completed, floor_under
+from stages.filming.clip_cast import floor_under
 from stages.formats import viewer
 from stages.formats.clip import Clip, load_people
 from stages.formats.effects import read_effects
@@ -63,7 +63,7 @@ def _figure(
 ) -> viewer.Figure:
     """A person as the page has them; `lit`: by a light that casts shadows."""
     floor = floor_under(clip, rig, ground)
-    parts = completed(avatar, clip.body_model).casters if lit else None
+    parts = avatar.casters if lit else None
     moves, sole = [clip_move(clip.body, times), *made_moves(floor, soles)], soles.at_rest()
     absent = np.flatnonzero(clip.body.confidence <= 0).tolist()
     return viewer.Figure(rig, avatar.lbs_weights, moves, ground.turn, floor.point, sole, parts, absent=absent)
