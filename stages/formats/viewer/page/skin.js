@@ -48,8 +48,8 @@ void hugsSkin(
   vec4 from = vec4(center, 1.0);
   center = vec3(dot(x, from), dot(y, from), dot(z, from)) / total;
   mat3 blend = transpose(mat3(x.xyz, y.xyz, z.xyz)) / total;
-${grows ? GROWTH : ""}
 ${bands ? LIT : ""}
+${grows ? GROWTH : ""}
   mat3 cov = mat3(xxyyzz.x, xyxzyz.x, xyxzyz.y, xyxzyz.x, xxyyzz.y, xyxzyz.z, xyxzyz.y, xyxzyz.z, xxyyzz.z);
   cov = blend * cov * transpose(blend);
   xxyyzz = vec3(cov[0][0], cov[1][1], cov[2][2]);
