@@ -9,10 +9,12 @@ from hugs_cli.cache.child import processors
 
 TRIED = 0.4
 """Seconds for which every processor is kept busy to see what is left of it."""
+LEAST = 0.02
+"""Share that is told from none in that time."""
 
 
 def share() -> float:
-    """Share of its processors that the machine gives to one more program, up to 1: all of them, when nothing else runs.
+    """Share of its processors that the machine gives to one more program, from LEAST up to 1: all of them, when nothing else runs.
 
     As many processes as there are processors compute for TRIED seconds; theirs is the time of processors that they got.
     """
@@ -26,4 +28,4 @@ def share() -> float:
                 os._exit(0)
         tasks.append(task)
     got = sum(os.wait4(task, 0)[2].ru_utime for task in tasks)
-    return min(1.0, got / (TRIED * len(tasks)))
+    return min(1.0, max(LEAST, got / (TRIED * len(tasks))))

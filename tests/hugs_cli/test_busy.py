@@ -28,6 +28,13 @@ def test_a_share_falls_when_others_compute():
     assert 0 < beside < alone <= 1
 
 
+def test_who_gets_nothing_has_a_share_to_divide_by(monkeypatch):
+    idle = type("Usage", (), {"ru_utime": 0.0})
+    wait = os.waitpid
+    monkeypatch.setattr(busy.os, "wait4", lambda task, flags: (*wait(task, flags), idle))
+    assert 0 < busy.share() < 0.1
+
+
 STOPPED = """
 import signal
 from hugs_cli import busy
