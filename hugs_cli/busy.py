@@ -10,7 +10,7 @@ from hugs_cli.cache.child import processors
 TRIED = 0.4
 """Seconds for which every processor is kept busy to see what is left of it."""
 LEAST = 0.02
-"""Share that is told from none in that time."""
+"""The least share: less cannot be measured in that time."""
 
 
 def share() -> float:

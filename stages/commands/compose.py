@@ -22,10 +22,8 @@ if TYPE_CHECKING:
     from stages.filming.shoot import Shoot
 
 
-PLAN, VIEWS = (
-    "plan.json",
-    ("clip", "auto", "before"),
-)  # and the cameras of which a plan takes the first that cuts nobody off
+PLAN = "plan.json"
+VIEWS = ("clip", "auto", "before")  # of which a plan takes the first that cuts nobody off
 
 
 class Params(Film):

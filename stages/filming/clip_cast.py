@@ -20,7 +20,7 @@ from stages.avatar.effects.speeds import Speeds
 from stages.avatar.model.person import bone_transforms
 from stages.avatar.model.scene import load_scene
 from stages.avatar.motion.placing import SOLID
-from stages.avatar.splats.neighbours import shares_near
+from stages.avatar.splats.neighbours import mean_near
 from stages.formats.body_model import read_body_model
 from stages.formats.clip import Clip, load_people
 from stages.formats.splats import read_avatar
@@ -69,9 +69,8 @@ def _normals(avatar: Avatar, model: BodyModel | None) -> np.ndarray:
     pose = torch.as_tensor(avatar.canonical_pose).float()
     bones = bone_transforms(theirs, body.parents, torch.zeros(3), pose)
     posed = skin(vertices, body.lbs_weights, bones)[0]
-    near, shares = shares_near(posed, torch.as_tensor(avatar.means).float(), AROUND)
-    normals = (shares[..., None] * vertex_normals(posed, faces)[near]).sum(1)
-    return normalize(normals, dim=1).numpy()
+    means = torch.as_tensor(avatar.means).float()
+    return normalize(mean_near(vertex_normals(posed, faces), posed, means, AROUND), dim=1).numpy()
 
 
 def _with_casters(avatar: Avatar, model: BodyModel | None) -> Avatar:

@@ -18,11 +18,8 @@ EVERY = 0.2  # s between the pictures that are looked at
 FRAMES = 15  # of the clip that may be the camera
 SAID, CUT, BACKS = 0.05, 0.25, 0.6  # of the pictures: more is said, and in how many cuts, and backs, are too much
 SOLE = 0.06  # m under a foot's joint
-MARGIN, WIDEST, TURNS = (
-    1.15,
-    0.45,
-    4,
-)  # times as much as people need; of the longer side, the shortest focal length: 96 degrees
+MARGIN, TURNS = 1.15, 4  # times as much as people need, and how often the camera is turned to them anew
+WIDEST = 0.45  # of the longer side, the shortest focal length: 96 degrees
 NEAR = 0.1  # m from the camera
 Size = tuple[int, int] | None
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from stages import gestures
-from stages.avatar.splats.neighbours import nearest
+from stages.avatar.splats.neighbours import mean_near
 
 SKIN = 6  # vertices of the body whose mean shape a point of the face follows
 
@@ -19,9 +19,7 @@ def face_at(rig: gestures.HandsFace, template: Tensor, shapedirs: Tensor, betas:
     moves as the vertices nearest to it. Differentiable in the betas.
     """
     points = torch.as_tensor(rig.face_points).to(template)
-    away, near = nearest(template, points, SKIN)
-    share = away.to(points).clamp_min(1e-3) ** -2
-    return points + torch.einsum("nk,nkcb,b->nc", share / share.sum(1, keepdim=True), shapedirs[near], betas)
+    return points + mean_near(shapedirs, template, points, SKIN) @ betas
 
 
 def face_vector(face: Mapping[str, float]) -> np.ndarray:

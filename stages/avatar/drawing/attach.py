@@ -15,11 +15,10 @@ from stages.avatar.body.joints import HANDS, HEAD
 from stages.avatar.body.skinning import knn_weights
 from stages.avatar.body.smpl import Body
 from stages.avatar.drawing.avatar import load_avatar
-from stages.avatar.splats.neighbours import nearest
+from stages.avatar.splats.neighbours import mean_near, nearest
 
 HELD = 0.02  # of a Gaussian's weights: less than that on a hand's joints is none of a finger's
-NEAR = 6  # points of the face whose mean move, by the inverse square of their distance, a Gaussian follows
-TOUCHING = 1e-3  # m: nearer than that, points count alike
+NEAR = 6  # points of the face whose mean move a Gaussian follows
 FACE = (0.015, 0.035)  # m from the face between which Gaussians move less and less: hair does not smile
 STILL = 5e-4  # m: a Gaussian that no shape moves further is left out
 
@@ -67,13 +66,10 @@ def _fingers(
 
 def _face(rig: gestures.HandsFace, points: Tensor, means: Tensor, weights: Tensor) -> gestures.Face:
     """Each Gaussian of the head moves as the points of the face around it, as far as the head's bone carries it."""
-    away, near = nearest(points, means, NEAR)
-    rows = ((away[:, 0] < FACE[1]) & (weights[:, HEAD] > 0)).nonzero()[:, 0]
-    away, near = away[rows].to(points), near[rows]
-    share = away.clamp_min(TOUCHING) ** -2
-    part = ((FACE[1] - away[:, 0]) / (FACE[1] - FACE[0])).clamp(0, 1)
-    share *= (part / share.sum(1))[:, None]
-    shapes = torch.as_tensor(rig.face_shapes)
-    moves = torch.einsum("nk,snkc->snc", share, shapes[:, near])
+    away = nearest(points, means, 1)[0][:, 0].to(points)
+    rows = ((away < FACE[1]) & (weights[:, HEAD] > 0)).nonzero()[:, 0]
+    part = ((FACE[1] - away[rows]) / (FACE[1] - FACE[0])).clamp(0, 1)
+    shapes = torch.as_tensor(rig.face_shapes).movedim(0, 1)
+    moves = part[:, None] * mean_near(shapes, points, means[rows], NEAR).movedim(1, 0)
     kept = moves.norm(dim=2).amax(0) > STILL
     return gestures.Face(rows[kept].int().numpy(), moves[:, kept].half().numpy())

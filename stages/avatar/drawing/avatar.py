@@ -12,7 +12,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from stages import records
+from stages import gestures, records
 from stages.avatar.body.fingers import finger_bones
 from stages.avatar.body.joints import HANDS
 from stages.avatar.body.rotations import matrix_from_quat, matrix_from_rotvec
@@ -34,12 +34,25 @@ class Gloves(NamedTuple):
     rows: Tensor
     shares: Tensor
 
+    @classmethod
+    def of(cls, fingers: gestures.Fingers, device: str | torch.device) -> Gloves:
+        """The tensors of a record, float32 and int64."""
+        parts = (torch.as_tensor(part).float() for part in (fingers.joints, fingers.shape, fingers.shares))
+        joints, shape, shares = (part.to(device) for part in parts)
+        return cls(joints, shape, torch.as_tensor(fingers.rows).long().to(device), shares)
+
 
 class Mien(NamedTuple):
     """A face as `gestures.Face` holds it, as tensors, with `moves` [52,3M]."""
 
     rows: Tensor
     moves: Tensor
+
+    @classmethod
+    def of(cls, face: gestures.Face, device: str | torch.device) -> Mien:
+        """The tensors of a record, float32 and int64."""
+        moves = torch.as_tensor(face.moves).float().flatten(1)
+        return cls(torch.as_tensor(face.rows).long().to(device), moves.to(device))
 
 
 class Baked(NamedTuple):
@@ -81,7 +94,6 @@ def load_avatar(avatar: records.Avatar, device: str | torch.device = "cpu") -> B
     bones = bone_transforms(joints, parents, torch.zeros(3), to(avatar.canonical_pose))
     clothing = None if avatar.clothes is None else Clothing.of(avatar.clothes, avatar.joints)
     resting = rest(person, bones if clothing is None else clothing.hang(bones))
-    hands, face = avatar.fingers, avatar.face
     few, cloth = without_zeros(weights), cloth_of(resting.means, weights, len(parents))
     return Baked(
         resting=Resting(*there(resting)),
@@ -92,15 +104,9 @@ def load_avatar(avatar: records.Avatar, device: str | torch.device = "cpu") -> B
         few=few and FewBones(*there(few)),
         stretch=cloth and Stretch(*there(stretch_of(cloth, resting.means, resting.axes))),
         casters=avatar.casters and Casters(*there(map(to, avatar.casters))),
-        gloves=None
-        if hands is None
-        else Gloves(*there([to(hands.joints), to(hands.shape), _rows(hands.rows), to(hands.shares)])),
-        face=None if face is None else Mien(*there([_rows(face.rows), to(face.moves).flatten(1)])),
+        gloves=None if avatar.fingers is None else Gloves.of(avatar.fingers, device),
+        face=None if avatar.face is None else Mien.of(avatar.face, device),
     )
-
-
-def _rows(rows: np.ndarray) -> Tensor:
-    return torch.as_tensor(np.asarray(rows), dtype=torch.long)
 
 
 def gloved(avatar: Baked) -> Baked:
@@ -111,9 +117,8 @@ def gloved(avatar: Baked) -> Baked:
     weights = torch.cat([own, own.new_zeros(len(own), shares.shape[1])], 1)
     hands = weights[avatar.gloves.rows]
     hands[:, own.shape[1] :] = shares
-    hands[:, list(HANDS)] = (hands[:, list(HANDS)] - shares.unflatten(1, (2, -1)).sum(2)).clamp_min(
-        0
-    )  # a file rounds shares
+    left = hands[:, list(HANDS)] - shares.unflatten(1, (2, -1)).sum(2)
+    hands[:, list(HANDS)] = left.clamp_min(0)  # a file rounds shares
     weights[avatar.gloves.rows] = hands / hands.sum(1, keepdim=True)
     return avatar._replace(resting=avatar.resting._replace(weights=weights), few=without_zeros(weights))
 
@@ -228,9 +233,8 @@ class PosedAvatar:
 
     def splats(self, frame: int) -> Splats:
         """The person's Gaussians in the world, in even light."""
-        return posed_by(
-            self.avatar, self.bones[frame], self.transl[frame], None if self.face is None else self.face[frame]
-        )
+        face = None if self.face is None else self.face[frame]
+        return posed_by(self.avatar, self.bones[frame], self.transl[frame], face)
 
     def all_splats(self) -> list[Splats]:
         """`splats` of every pose; several, without gradients and in float32 on a CPU, in one pass over the Gaussians."""

@@ -9,10 +9,9 @@ from torch import Tensor
 
 from stages.avatar.body.smpl import Body
 from stages.avatar.drawing.avatar import Baked, rested
-from stages.avatar.splats.neighbours import nearest
+from stages.avatar.splats.neighbours import mean_near
 
-SKIN = 6  # vertices whose mean move, by the inverse square of their distance, a Gaussian follows
-TOUCHING = 1e-3  # m: nearer than that, vertices count alike
+SKIN = 6  # vertices whose mean move a Gaussian follows
 
 
 class Shapes(NamedTuple):
@@ -37,9 +36,7 @@ def shapes_of(avatar: Baked, body: Body, betas: Tensor) -> Shapes:
     fingers = none if avatar.gloves is None else avatar.gloves.joints
 
     def with_skin(points: Tensor) -> Tensor:
-        away, near = nearest(skin, points, SKIN)
-        share = away.to(points).clamp_min(TOUCHING) ** -2
-        return torch.einsum("nk,nkcb->ncb", share / share.sum(1, keepdim=True), body.shapedirs[near])
+        return mean_near(body.shapedirs, skin, points, SKIN)
 
     return Shapes(with_skin(avatar.resting.means), body.joint_dirs, with_skin(centres), with_skin(fingers))
 

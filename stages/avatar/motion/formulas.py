@@ -73,11 +73,7 @@ def wave(seconds: float, fps: float, leg: float = LEG) -> Motion:
     sway = 0.02 * up * (1 + 0.15 * (phase / 3).sin())
     hang = torch.ones_like(up)
     pose = _Pose(len(phase))
-    for i, _ in SIDES:
-        pose.turn(HIPS[i], z=-sway / leg)
-        pose.turn(ANKLES[i], z=sway / leg)
-    pose.turn(SHOULDERS[0], z=-HANG * hang, x=-0.05 * hang, order="xz")
-    pose.turn(ELBOWS[0], y=-0.25 * hang)
+    pose.stand_relaxed(sway / leg, hang)
     pose.turn(COLLARS[1], z=-0.12 * up)
     pose.turn(SHOULDERS[1], x=-1.45 * up, z=HANG - (HANG + 0.12) * up, y=0.25 * up, order="yzx")
     pose.turn(ELBOWS[1], y=0.25 + up * (1.1 + 0.45 * phase.sin()))
@@ -112,11 +108,7 @@ def count_to_five(seconds: float, fps: float, leg: float = LEG) -> Motion:
     sway = 0.015 * up * (times(seconds, fps) * 2 * math.pi).sin()
     hang = torch.ones_like(up)
     pose = _Pose(len(up))
-    for i, _ in SIDES:
-        pose.turn(HIPS[i], z=-sway / leg)
-        pose.turn(ANKLES[i], z=sway / leg)
-    pose.turn(SHOULDERS[0], z=-HANG * hang, x=-0.05 * hang, order="xz")
-    pose.turn(ELBOWS[0], y=-0.25 * hang)
+    pose.stand_relaxed(sway / leg, hang)
     pose.turn(SHOULDERS[1], x=-1.5 * up, z=HANG - (HANG - 0.7) * up, order="zx")
     pose.turn(ELBOWS[1], y=0.25 + 2.0 * up)
     pose.turn(HEAD, y=-0.08 * up)
@@ -163,6 +155,14 @@ class _Pose:
                 about[:, "xyz".index(axis)] = angles[axis]
                 matrix = matrix @ matrix_from_rotvec(about)
         self.turns[:, joint] = rotvec_from_matrix(matrix)
+
+    def stand_relaxed(self, sway: Tensor, hang: Tensor) -> None:
+        """Legs that lean by `sway` [F] rad with the soles flat, and the left arm hanging as far as `hang` [F], from 0 to 1."""
+        for i, _ in SIDES:
+            self.turn(HIPS[i], z=-sway)
+            self.turn(ANKLES[i], z=sway)
+        self.turn(SHOULDERS[0], z=-HANG * hang, x=-0.05 * hang, order="xz")
+        self.turn(ELBOWS[0], y=-0.25 * hang)
 
     def motion(self, leg: float, lift: Tensor | float = 0, shift: Tensor | float = 0, stand: bool = False) -> Motion:
         """The motion, lowest sole `lift` over the floor, pelvis moved by `shift` along x; `stand`: soles stay put."""

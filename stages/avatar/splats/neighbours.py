@@ -30,6 +30,12 @@ def shares_near(those: Tensor, points: Tensor, k: int) -> tuple[Tensor, Tensor]:
     return rows, normalize(1 / (away.to(points) + AT), p=1, dim=1)
 
 
+def mean_near(values: Tensor, those: Tensor, points: Tensor, k: int) -> Tensor:
+    """For each of points[N,3] the mean [N,...] of values[M,...] of the k of `those`[M,3] nearest, by `shares_near`."""
+    rows, shares = shares_near(those, points, k)
+    return torch.einsum("nk,nk...->n...", shares, values[rows])
+
+
 def median_near(values: Tensor, those: Tensor, points: Tensor, k: int) -> tuple[Tensor, Tensor]:
     """For each of points[N,3] the median [N,...] of values[M,...] of the k of `those`[M,3] nearest, and how far they are [N,k]."""
     away, rows = nearest(those, points, k)
