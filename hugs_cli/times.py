@@ -8,8 +8,9 @@ import platform
 import re
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, cached_property
+from importlib import metadata
 from pathlib import Path
 from statistics import median
 from typing import NamedTuple
@@ -19,10 +20,12 @@ from pydantic import NonNegativeFloat, PositiveFloat, TypeAdapter, ValidationErr
 from hugs_cli import busy
 from hugs_cli.cache import whole
 from hugs_cli.cache.child import processors
+from hugs_cli.cache.fingerprint import digest
 from hugs_cli.cache.freshness import Session, Verdict
 from hugs_cli.cache.workspace import read_json
 from hugs_cli.pipelines import Stage
 from hugs_cli.words import duration
+from stages import contract
 
 STAGE_START = 2.5
 """Seconds from the end of a stage to the start of the next, libraries loaded, and of a stage of which nothing is known."""
@@ -30,6 +33,7 @@ FINISHING, SETTLING = 100, 200  # steps that take as long as what follows the la
 KEPT, ASKED = 400, 5  # rows in the file, and the last ones of a stage that a guess is made from
 SHORT = 2.0  # s; shorter stages tell nothing
 LEAST = 250  # steps of a training that takes as long as the shortest one, with what it times and the least after it
+KERNELS = "stages.avatar."  # the package that holds all of them
 WORTH = 10.0  # s; of a shorter run it is not found out how busy the machine is
 OFF = {0: 2.0, 1: 1.6, 2: 1.4}
 """Earlier runs -> factor within which a guess is held to be; of more it is FEW."""
@@ -57,10 +61,11 @@ class Row(NamedTuple):
 
 
 class Guess(NamedTuple):
-    """Seconds, and the factor within which they are held to be."""
+    """Seconds, the factor within which they are held to be, and the seconds of these in which kernels are compiled."""
 
     seconds: float
     off: float
+    compiling: float = 0.0
 
 
 USUAL: dict[str, tuple[Sizes, dict[str, float]]] = {
@@ -71,6 +76,8 @@ USUAL: dict[str, tuple[Sizes, dict[str, float]]] = {
 }  # fmt: skip
 """Pipeline -> sizes, and seconds of its stages; others are as `default`. The phone clip, 2 idle cores, November 2026: 5 min 45 s,
 shared out as in runs beside other work (docs/lab/2026-11/pipelines-and-people.md)."""
+COMPILING = {"stages.smpl": 2.5, "stages.survey": 2.0, "stages.train": 34.0}
+"""Module -> seconds in which it compiles kernels where none are. `preview`, then again, 2 idle cores of Zen 4, November 2026."""
 
 
 def work(stage: str, sizes: Sizes) -> float:
@@ -128,35 +135,58 @@ def file() -> Path:
     return folder() / f"{re.sub(r'[^A-Za-z0-9_-]+', '.', platform.node()) or 'machine'}.json"
 
 
-def rows() -> list[Row]:
-    """What this machine has run, in order; nothing where the file cannot be read."""
+@dataclass(frozen=True)
+class Kept:
+    """What is known of this machine: stages that it ran, in order, and by module what its kernels were compiled of."""
+
+    rows: list[Row] = field(default_factory=list)
+    kernels: dict[str, str] = field(default_factory=dict)
+
+
+def kept() -> Kept:
+    """What is known of this machine; nothing where the file cannot be read."""
     try:
-        return _form().validate_python(read_json(file()).get("rows", []))
+        return _form().validate_python(read_json(file()))
     except ValidationError:
-        return []
+        return Kept()
 
 
 @cache
-def _form() -> TypeAdapter[list[Row]]:
-    return TypeAdapter(list[Row])
+def _form() -> TypeAdapter[Kept]:
+    return TypeAdapter(Kept)
 
 
-def learn(session: Session, stage: Stage, seconds: float, device: str) -> None:
-    """Keep how long a stage took; not of a training that was fitted into a time."""
-    if seconds < SHORT or stage.params.model_dump().get("seconds"):
-        return
-    own = Row(stage.name, stage.module, session.pipeline.name, device, processors(), sizes_of(session, True), seconds)
+def kernels(session: Session, stage: Stage) -> str:
+    """A digest of all that the kernels of a stage are compiled of: they are compiled anew where it is another."""
+    code = session.code.digests(stage.module)
+    own = {module: text for module, text in code.items() if module.startswith(KERNELS)}
+    return digest([contract.__file__, metadata.version("numba"), own])
+
+
+def learn(session: Session, stage: Stage, seconds: float, device: str, compiling: float = 0.0) -> None:
+    """Keep how long a stage took, without the seconds in which it was `compiling`, and that its kernels are compiled.
+
+    Of a training that was fitted into a time only that is kept, and of a short stage, too.
+    """
+    rows, known = kept().rows, kept().kernels
+    if stage.module in COMPILING:
+        known = {**known, stage.module: kernels(session, stage)}
+    if seconds - compiling >= SHORT and not stage.params.model_dump().get("seconds"):
+        alone = (seconds - compiling) * free()
+        sizes = sizes_of(session, True)
+        rows = [*rows, Row(stage.name, stage.module, session.pipeline.name, device, processors(), sizes, alone)][-KEPT:]
     with suppress(OSError):  # a full disk: the next guess is a little worse
         folder().mkdir(parents=True, exist_ok=True)
-        kept = [*rows(), own._replace(seconds=seconds * free())][-KEPT:]
-        whole.replace(file(), json.dumps({"rows": [row._asdict() | {"sizes": row.sizes._asdict()} for row in kept]}))
+        plain = [row._asdict() | {"sizes": row.sizes._asdict()} for row in rows]
+        whole.replace(file(), json.dumps({"rows": plain, "kernels": known}))
 
 
 @dataclass(frozen=True)
 class Times:
-    """What this machine's earlier runs on a device tell."""
+    """What this machine's earlier runs on a device tell, and what its kernels were compiled of, by module."""
 
     rows: list[Row]
+    kernels: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def by_module(self) -> dict[str, list[Row]]:
@@ -170,20 +200,31 @@ class Times:
         """How many times as long as is USUAL the stages took that were run."""
         return median([_slow(row) for row in self.rows if row.module == f"stages.{row.stage}"] or [1.0])
 
+    def compiling(self, session: Session, stage: Stage) -> float:
+        """Seconds in which a stage compiles kernels that are not there yet."""
+        seconds = COMPILING.get(stage.module, 0.0)
+        if not seconds or self.kernels.get(stage.module) == kernels(session, stage):
+            return 0.0
+        return seconds * self.pace
+
     def alone(self, session: Session, stage: Stage, sizes: Sizes) -> Guess:
-        """Of one stage, if nothing else ran."""
+        """Of one stage, if nothing else ran and its kernels are compiled."""
         name, same = session.pipeline.name, self.by_module.get(stage.module, [])
         same = ([row for row in same if row.pipeline == name] or same)[-ASKED:]
         slow = median(map(_slow, same)) if same else self.pace
         return Guess(slow * usual(name, stage.name, sizes), OFF.get(len(same), FEW))
 
-    def forecast(self, session: Session, todo: Iterable[str], now: bool = True) -> dict[str, Guess]:
-        """Of stages to do, in their order; as busy as the machine is `now`, or as if nothing else ran."""
+    def forecast(self, session: Session, todo: Iterable[str], now: bool = True, first: bool = True) -> dict[str, Guess]:
+        """Of stages to do, in their order; as busy as the machine is `now`, or as if nothing else ran. `first`: no other run
+        compiles their kernels before."""
         todo = list(todo)
         sizes, stages = sizes_of(session, "frames" not in todo), session.pipeline.stages
         found = {name: self.alone(session, stages[name], sizes) for name in todo}
+        if first:
+            more = {name: self.compiling(session, stages[name]) for name in todo}
+            found = {name: Guess(one.seconds + more[name], one.off, more[name]) for name, one in found.items()}
         share = free() if now and sum(one.seconds for one in found.values()) > WORTH else 1.0
-        return {name: Guess(one.seconds / share, one.off) for name, one in found.items()}
+        return {name: Guess(one.seconds / share, one.off, one.compiling / share) for name, one in found.items()}
 
 
 def _slow(row: Row) -> float:
@@ -192,8 +233,8 @@ def _slow(row: Row) -> float:
 
 def here(device: str) -> Times:
     """The times of this machine, with 'cpu' or 'cuda'."""
-    count = processors()
-    return Times([row for row in rows() if (row.device, row.processors) == (device, count)])
+    count, known = processors(), kept()
+    return Times([row for row in known.rows if (row.device, row.processors) == (device, count)], known.kernels)
 
 
 def expected(
@@ -211,10 +252,12 @@ def total(guesses: Iterable[Guess]) -> Guess:
     """All of them, one after the other."""
     guesses = list(guesses)
     seconds = sum(one.seconds for one in guesses)
-    return Guess(seconds, sum(one.seconds * one.off for one in guesses) / seconds if seconds else 1.0)
+    off = sum(one.seconds * one.off for one in guesses) / seconds if seconds else 1.0
+    return Guess(seconds, off, sum(one.compiling for one in guesses))
 
 
 def said(guess: Guess) -> str:
-    """'about 14m 10s (between 9m 27s and 21m 15s)'."""
+    """'about 14m 10s (between 9m 27s and 21m 15s)', and how much of it only a first run takes."""
     low, high = guess.seconds / guess.off, guess.seconds * guess.off
-    return f"about {duration(guess.seconds)} (between {duration(low)} and {duration(high)})"
+    once = f", {duration(guess.compiling)} of it to compile kernels, once" if guess.compiling else ""
+    return f"about {duration(guess.seconds)} (between {duration(low)} and {duration(high)}){once}"

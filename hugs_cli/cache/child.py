@@ -85,6 +85,7 @@ def main() -> int:
     for library in sys.argv[1:]:
         with suppress(Exception):  # the stage will fail by it, and say so
             importlib.import_module(library)
+    compiling = count_compiling()
     job = json.loads(read_line(0))
     sys.path[:] = job["path"]
     os.set_inheritable(job["events"], False)
@@ -121,10 +122,11 @@ def main() -> int:
         module = load_stage(job["module"])
         inputs = {name: Path(path) if path else None for name, path in job["inputs"].items()}
         module.run(stage_job, module.params(**job["params"]), **inputs)
-        emit({"event": "done", "versions": versions(), "peak_memory_bytes": peak_memory(), **gpu_memory()})
+        facts = {"versions": versions(), "peak_memory_bytes": peak_memory(), **gpu_memory()}
+        emit({"event": "done", "compiling": compiling(), **facts})
         return 0
     except Stopped:
-        emit({"event": "stopped"})
+        emit({"event": "stopped", "compiling": compiling()})
         return 130
     except Exception as error:
         if not isinstance(error, StageError):
@@ -226,6 +228,28 @@ def versions(only: Callable[[str], object] = sys.modules.get) -> dict[str, str]:
             if only(module):
                 found[module] = version(distribution)
     return found
+
+
+def count_compiling() -> Callable[[], float]:
+    """Count from now on the seconds in which Numba compiles, where it is loaded: what is called gives those so far."""
+    if "numba" not in sys.modules:
+        return lambda: 0.0
+    from numba.core import event
+
+    marks = event.RecordingListener()
+    event.register("numba:compile", marks)
+
+    def seconds() -> float:
+        total, since, depth = 0.0, 0.0, 0
+        for when, mark in marks.buffer:  # a kernel that calls another compiles it in between
+            if mark.is_start:
+                since, depth = (since if depth else when), depth + 1
+            else:
+                depth -= 1
+                total += 0.0 if depth else when - since
+        return round(total, 3)
+
+    return seconds
 
 
 def peak_memory() -> int:

@@ -191,13 +191,14 @@ def add_earlier(file: Path, outcome: Outcome) -> None:
     if file.exists():
         earlier = json.loads(file.read_text())
         outcome.seconds += earlier["seconds"]
+        outcome.compiling += earlier.get("compiling", 0.0)
         outcome.peak_memory_bytes = max(outcome.peak_memory_bytes, earlier["peak_memory_bytes"])
         outcome.notes = list(dict.fromkeys([*earlier["notes"], *outcome.notes]))
         outcome.warnings = list(dict.fromkeys([*earlier["warnings"], *outcome.warnings]))
     if outcome.kind == "done":
         file.unlink(missing_ok=True)
         return
-    kept = ("seconds", "peak_memory_bytes", "notes", "warnings")
+    kept = ("seconds", "compiling", "peak_memory_bytes", "notes", "warnings")
     with suppress(OSError):  # a full disk: then the next run tells its own time alone
         whole.replace(file, json.dumps({key: getattr(outcome, key) for key in kept}))
 
@@ -234,7 +235,7 @@ def publish(session: Session, stage: Stage, verdict: Verdict, outcome: Outcome, 
     workspace.publish(part, folder)
     workspace.link(stage.name, folder)
     workspace.log_run(**facts, result="done")
-    times.learn(session, stage, stamp.seconds, device)
+    times.learn(session, stage, stamp.seconds, device, outcome.compiling)
     console.ended(stage.name, outcome)  # said last: who cannot hear it any more loses nothing
     return stamp
 

@@ -37,6 +37,8 @@ class Outcome:
     facts: dict[str, Any] = field(default_factory=dict)
     """The last event: versions; or problem, facts, hint; or traceback; or signal."""
     seconds: float = 0.0
+    compiling: float = 0.0
+    """Seconds of these in which kernels were compiled, once for this machine."""
     peak_memory_bytes: int = 0
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
@@ -89,6 +91,7 @@ class Launcher:
             for number, handler in before.items():
                 signal.signal(number, handler)
         outcome.seconds = time.monotonic() - started
+        outcome.compiling = outcome.facts.get("compiling", 0.0)
         outcome.peak_memory_bytes = max(usage.ru_maxrss * MAXRSS, outcome.facts.get("peak_memory_bytes", 0))
         if code < 0 or (code and outcome.kind in ("done", "killed")):
             outcome.kind = "killed"

@@ -132,7 +132,8 @@ def verdict(
             folders = {name: one.folder for name, one in verdicts.items() if one.folder}
             planned.state = "todo" if kept else "fresh"  # the rest is to be let go
             planned.result = result_of(stamps, folders, session.workspace.links)
-    planned.expected = {name: guess.seconds for name, guess in past.forecast(session, planned.todo).items()}
+    ahead = past.forecast(session, planned.todo, first=False)
+    planned.expected = {name: guess.seconds for name, guess in ahead.items()}
     return planned
 
 

@@ -24,6 +24,7 @@ def free(monkeypatch, tmp_path):
     share = [1.0]
     monkeypatch.setenv("HUGS_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(times, "free", lambda: share[0])
+    monkeypatch.setattr(times, "COMPILING", {})
     return share
 
 
@@ -53,7 +54,7 @@ def forecast(clip: Session, device: str = "cpu") -> times.Guess:
 
 
 def test_the_usual_clip_takes_the_usual_time_where_nothing_was_run(free, tmp_path):
-    assert forecast(session(tmp_path)) == pytest.approx((WHOLE, OFF[0]))
+    assert forecast(session(tmp_path)) == pytest.approx((WHOLE, OFF[0], 0))
     free[0] = 0.5
     assert forecast(session(tmp_path)).seconds == pytest.approx(2 * WHOLE)
     few = here("cpu").forecast(session(tmp_path), ["frames"])
@@ -140,12 +141,33 @@ def test_what_tells_nothing_is_not_kept(free, tmp_path, monkeypatch):
     train = clip.pipeline.stages["train"]
     learn(clip, train, SHORT / 2, "cpu")
     learn(clip, replace(train, params=train.params.model_copy(update={"seconds": 600.0})), 500.0, "cpu")
-    assert times.rows() == []
+    assert times.kept().rows == []
     learn(clip, train, 500.0, "cpu")
-    assert [row.seconds for row in times.rows()] == [500]
+    assert [row.seconds for row in times.kept().rows] == [500]
     for _ in range(times.KEPT):
         learn(clip, train, 700.0, "cpu")
-    assert {row.seconds for row in times.rows()} == {700} and len(times.rows()) == times.KEPT
+    rows = times.kept().rows
+    assert {row.seconds for row in rows} == {700} and len(rows) == times.KEPT
+
+
+def test_what_compiling_takes_is_expected_of_a_first_run_and_learned_from_none(free, tmp_path, monkeypatch):
+    monkeypatch.setattr(times, "COMPILING", {"stages.train": 30.0, "stages.smpl": 2.0})
+    clip, code = session(tmp_path), {"stages.avatar.one": "a", "stages.train": "b"}
+    monkeypatch.setattr(type(clip.code), "digests", lambda self, module: code)
+    first = forecast(clip)
+    assert (first.seconds, first.compiling) == pytest.approx((WHOLE + 32, 32))
+    assert holds(times.said(first), "32.0 s") and not holds(times.said(first._replace(compiling=0.0)), "32.0 s")
+    assert not here("cpu").forecast(clip, ["train"], first=False)["train"].compiling, "another run compiles before"
+    for name, stage in clip.pipeline.stages.items():
+        compiling = times.COMPILING.get(stage.module, 0.0)
+        learn(clip, stage, 2 * USUAL[name] + compiling, "cpu", compiling)
+    assert forecast(clip)[::2] == pytest.approx((2 * WHOLE, 0)), "nor is it taken for a slow machine"
+    code["stages.train"] = "c"
+    assert not forecast(clip).compiling, "no kernel is changed"
+    code["stages.avatar.one"] = "c"
+    assert forecast(clip).compiling == pytest.approx(64), "as slow as that machine is"
+    learn(clip, clip.pipeline.stages["train"], SHORT / 2, "cpu")
+    assert forecast(clip).compiling == pytest.approx(4), "a stage that is too short to be kept has compiled, too"
 
 
 @pytest.mark.parametrize(
@@ -161,6 +183,6 @@ def test_what_tells_nothing_is_not_kept(free, tmp_path, monkeypatch):
 def test_a_file_that_cannot_be_read_is_as_none(free, tmp_path, content):
     times.folder().mkdir(parents=True)
     times.file().write_text(content)
-    assert times.rows() == [] and forecast(session(tmp_path)).off == OFF[0]
+    assert times.kept().rows == [] and forecast(session(tmp_path)).off == OFF[0]
     run(session(tmp_path), dict(USUAL))
-    assert len(times.rows()) == len(USUAL)
+    assert len(times.kept().rows) == len(USUAL)

@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from hugs_cli.cache.child import error_event, processors
+from hugs_cli.cache.child import count_compiling, error_event, processors
 from stages.contract import StageError
 from tests.made.said import holds
 
@@ -50,6 +50,30 @@ def test_a_stage_error_passes_unchanged_and_a_bug_is_one_line_with_its_traceback
 
 def test_processors_are_those_of_this_process():
     assert 1 <= processors() <= len(os.sched_getaffinity(0))
+
+
+def test_the_seconds_of_compiling_are_counted_once_for_kernels_that_call_each_other():
+    import time
+
+    import numba
+
+    seconds = count_compiling()
+    assert seconds() == 0
+
+    @numba.njit
+    def inner(n):
+        return n * n + 1
+
+    @numba.njit
+    def outer(n):
+        return inner(n) + inner(2 * n)
+
+    began = time.monotonic()
+    outer(3)
+    took, counted = time.monotonic() - began, seconds()
+    assert took / 2 < counted <= took
+    outer(4)
+    assert seconds() == counted, "compiled before"
 
 
 @pytest.mark.parametrize(("given", "used"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "4"}, "4")])

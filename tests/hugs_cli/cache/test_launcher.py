@@ -151,6 +151,30 @@ def test_the_next_process_is_started_ahead_and_loads_its_libraries(tmp_path, mon
         os.close(handle)
 
 
+COMPILES = """
+from stages.contract import Params
+
+def run(job, params):
+    import numba
+    numba.njit(lambda n: n + 1)(1)
+    (job.out / "made").touch()
+"""
+
+
+@pytest.mark.slow
+def test_a_stage_that_compiles_says_for_how_long(tmp_path, monkeypatch):
+    (tmp_path / "compiles_once.py").write_text(COMPILES)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    handle = os.open(tmp_path / ".lock", os.O_RDWR | os.O_CREAT)
+    launcher = Launcher(handle)
+    launcher.ahead = Process(handle, ("numba",))
+    try:
+        outcome = launcher.launch(job_of("compiles_once", tmp_path), tmp_path / "log", lambda event: None)
+        assert 0 < outcome.compiling < outcome.seconds, (tmp_path / "log").read_text()
+    finally:
+        os.close(handle)
+
+
 def test_a_process_that_died_before_its_turn_is_replaced(tmp_path, monkeypatch):
     (tmp_path / "over_at_once.py").write_text(QUICK)
     monkeypatch.syspath_prepend(str(tmp_path))
