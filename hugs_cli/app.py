@@ -136,17 +136,16 @@ def run_pipeline(
     session.check_sources()
     workspace.create()
     page = workspace.links / PAGE
-    if session.pipeline.report:
-        console.say(f"report: {words.relative(page)}")
-    console.header(
-        video.name,
-        clip_facts(workspace),
-        session.pipeline.name,
-        words.relative(workspace.root),
-        *device_of(device),
-    )
-    if not forced:
-        hint_accept(promised.last_session() if promised else session, wanted, console)
+
+    def opening(sure: bool) -> None:
+        if session.pipeline.report and (sure or page.exists()):
+            console.say(f"report: {words.relative(page)}")
+        facts, place = clip_facts(workspace), words.relative(workspace.root)
+        console.header(video.name, facts, session.pipeline.name, place, *device_of(device))
+        if not forced:
+            hint_accept(promised.last_session() if promised else session, wanted, console)
+
+    console.opening.append(opening)
     if promised:
         ran, kept = promised.keep(forced, device.value, console)
     else:

@@ -53,6 +53,8 @@ class Console:
         self.countdown: Countdown | None = None
         self.only_new = False
         """Whether cached stages have no rows: they are the same as in the run before this one."""
+        self.opening: list[Callable[[bool], None]] = []
+        """What prints the first lines of a run; it is given whether it is sure that stages will run."""
         self.reasons = ""
         self.shown_notes: list[str] = []
         self.last_line = 0.0
@@ -88,6 +90,11 @@ class Console:
         """One line to stderr, after the moving row is wiped. Only `before` may hold control characters."""
         self.clear()
         print(f"{before}{plain(text)}", file=self.err, flush=True)
+
+    def begin(self, sure: bool) -> None:
+        """Print the first lines of a run, once. `sure`: its stages take what they are given."""
+        while self.opening:
+            self.opening.pop(0)(sure)
 
     def header(self, clip: str, facts: str, pipeline: str, folder: str, device: str, why: str) -> None:
         """What a run is of, and where it computes."""

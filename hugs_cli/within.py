@@ -12,6 +12,7 @@ from hugs_cli import times
 from hugs_cli.cache import engine
 from hugs_cli.cache.engine import Ran
 from hugs_cli.cache.freshness import Session
+from hugs_cli.cache.held import holding
 from hugs_cli.cache.workspace import Workspace, read_json, write_json
 from hugs_cli.console import Console
 from hugs_cli.countdown import Countdown
@@ -61,26 +62,28 @@ class Promise:
         chosen = read_json(place)
         begun = "train" not in forced and self._begun(chosen)
         guess = self._guess(forced, begun, device_of(device)[0], console)
-        self._say_what_does_not_fit(guess, console)
+        console.opening.append(lambda sure: self._say_what_does_not_fit(guess, console))
         later = ["train", *after]
-        made = engine.run(self.session, before, forced & set(before), device, console, report=True, later=later)
-        if begun:
-            console.say("continuing the training that was begun for this time")
-        else:
-            left = self._left(began, len(after) + 1)
-            chosen = {"guess": guess, "train": self._training(left)}
-            write_json(place, chosen)
-            console.say(f"{duration(left)} are left for training and the stages after it")
-        upto, console.only_new = [*before, "train"], True
-        fit = with_settings(self.session, chosen)
-        made += engine.run(fit, upto, forced & {"train"}, device, console, report=True, later=after)[-1:]
-        if made[-1].state == "done" or not set(self._shorter()) <= set(chosen):
-            chosen |= self._following(self._left(began, len(after)), made[-1].folder)
-            write_json(place, chosen)
-            if any(chosen[name] for name in self._shorter()):
-                console.say("that is short: films are shorter, and held-out poses are not fitted")
-        session = with_settings(self.session, chosen)
-        made += engine.run(session, self.wanted, forced & set(after), device, console, report=True)[len(upto) :]
+        with holding(self.session, self.wanted, console, report=True) as held:
+            made = engine.bring(held, self.session, before, forced & set(before), device, console, later=later)
+            if begun:
+                console.say("continuing the training that was begun for this time")
+            else:
+                left = self._left(began, len(after) + 1)
+                chosen = {"guess": guess, "train": self._training(left)}
+                write_json(place, chosen)
+                console.say(f"{duration(left)} are left for training and the stages after it")
+            upto, console.only_new = [*before, "train"], True
+            fit = with_settings(self.session, chosen)
+            made += engine.bring(held, fit, upto, forced & {"train"}, device, console, later=after)[-1:]
+            if made[-1].state == "done" or not set(self._shorter()) <= set(chosen):
+                chosen |= self._following(self._left(began, len(after)), made[-1].folder)
+                write_json(place, chosen)
+                if any(chosen[name] for name in self._shorter()):
+                    console.say("that is short: films are shorter, and held-out poses are not fitted")
+            session = with_settings(self.session, chosen)
+            made += engine.bring(held, session, self.wanted, forced & set(after), device, console)[len(upto) :]
+            held.end(session)
         took = time.monotonic() - began
         off = 100 * (took / self.seconds - 1)
         console.say(f"promised {duration(self.seconds)}, took {duration(took)} ({off:+.0f} %)")

@@ -8,7 +8,7 @@ import platform
 import shutil
 import signal
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from itertools import zip_longest
@@ -21,8 +21,8 @@ from hugs_cli.cache import child, whole
 from hugs_cli.cache.checks import check
 from hugs_cli.cache.fingerprint import files_under
 from hugs_cli.cache.freshness import Forced, ParamChanged, Reason, Recipe, Session, Verdict, changes
-from hugs_cli.cache.launcher import Launcher, Outcome
-from hugs_cli.cache.report import Report, reporting
+from hugs_cli.cache.held import Held, holding
+from hugs_cli.cache.launcher import Outcome
 from hugs_cli.cache.workspace import (
     LOG,
     OURS,
@@ -72,45 +72,56 @@ def run(
     report: bool = False,
     later: Sequence[str] = (),
 ) -> list[Ran]:
+    """`bring` the wanted stages up to date; a page of them grows meanwhile if it is to `report`."""
+    with holding(session, wanted, console, report) as held:
+        ran = bring(held, session, wanted, forced, device, console, taken, later)
+        held.end(session)
+    return ran
+
+
+def bring(
+    held: Held,
+    session: Session,
+    wanted: list[str],
+    forced: frozenset[str],
+    device: str,
+    console: Console,
+    taken: Mapping[str, Verdict] = MappingProxyType({}),
+    later: Sequence[str] = (),
+) -> list[Ran]:
     """Bring the wanted stages (given in running order) up to date; raises StageFailed or RunStopped at the first
-    stage that does not finish. What was finished before stays. Results of other stages are `taken` as they are. `report`: the
-    page grows meanwhile. Before the first that is made, all check what they are given, and those that are run `later`, too."""
+    stage that does not finish. What was finished before stays. Results of other stages are `taken` as they are. Before the first
+    that is made, all check what they are given, and those that are brought up to date `later`, too."""
     done = dict(taken)
     ran: list[Ran] = []
     unchecked = [session.pipeline.stages[name] for name in (*wanted, *later)]
-    stages, made_by = [session.pipeline.stages[name] for name in wanted], session.pipeline.report
-    with (
-        session.workspace.lock(console.waiting) as lock,
-        closing(Launcher(lock)) as launcher,
-        reporting(session, made_by, wanted, lock) if report and made_by else nullcontext() as page,
-    ):
-        session.workspace.keep_options(session.options)
-        for stage, after in zip_longest(stages, stages[1:]):
-            name = stage.name
-            verdict = session.verdict(stage, done, name in forced)
-            assert verdict.folder, "every stage before it is fresh by now"
-            if stamp := verdict.stamp or rescued(session, verdict):
-                console.cached(name, stamp)
-                state = "cached"
-                other = changes(verdict.last, verdict.recipe) if verdict.last and verdict.recipe else ()
-                if back := tuple(reason for reason in other if isinstance(reason, ParamChanged)):
-                    console.below(f"linked again: {reasons_text(back)}")
-            else:
-                if unchecked:
-                    check(session, unchecked[unchecked.index(stage) :], launcher)
-                    unchecked = []
-                if console.countdown is None:
-                    console.expect(times.expected(session, stages[len(ran) :], done, forced, device_of(device)[0]))
-                then = after.loads if after else None
-                stamp, state = make(session, stage, verdict, done, device, launcher, then, console, page), "done"
-            session.workspace.link(name, verdict.folder)
-            done[name] = replace(verdict, stamp=stamp)
-            ran.append(Ran(name, state, verdict.reasons, verdict.folder, stamp))
-            if page:
-                page.has(name, done[name])
-        if page:
-            page.end(done)
-        session.code.save()
+    stages = [session.pipeline.stages[name] for name in wanted]
+    for stage, after in zip_longest(stages, stages[1:]):
+        name = stage.name
+        verdict = session.verdict(stage, done, name in forced)
+        assert verdict.folder, "every stage before it is fresh by now"
+        if stamp := verdict.stamp or rescued(session, verdict):
+            console.begin(sure=False)
+            console.cached(name, stamp)
+            state = "cached"
+            other = changes(verdict.last, verdict.recipe) if verdict.last and verdict.recipe else ()
+            if back := tuple(reason for reason in other if isinstance(reason, ParamChanged)):
+                console.below(f"linked again: {reasons_text(back)}")
+        else:
+            if unchecked:
+                check(session, unchecked[unchecked.index(stage) :], held.launcher)
+                unchecked = []
+            console.begin(sure=True)
+            if console.countdown is None:
+                console.expect(times.expected(session, stages[len(ran) :], done, forced, device_of(device)[0]))
+            then = after.loads if after else None
+            stamp, state = make(session, stage, verdict, done, device, held, then, console), "done"
+        session.workspace.link(name, verdict.folder)
+        done[name] = replace(verdict, stamp=stamp)
+        ran.append(Ran(name, state, verdict.reasons, verdict.folder, stamp))
+        if held.page:
+            held.page.has(name, done[name])
+    session.code.save()
     return ran
 
 
@@ -136,16 +147,15 @@ def make(
     verdict: Verdict,
     done: Mapping[str, Verdict],
     device: str,
-    launcher: Launcher,
+    held: Held,
     then: Sequence[str] | None,
     console: Console,
-    page: Report | None,
 ) -> Stamp:
     """Run one stage into its .part folder, stamp the result and give the folder its final name.
 
     `then` names the libraries that the next stage loads, None if this is the last.
     """
-    recipe, part = known(session, verdict)
+    page, (recipe, part) = held.page, known(session, verdict)
     resumes = (
         stage.resumes
         and Forced() not in verdict.reasons
@@ -176,7 +186,7 @@ def make(
         if page:
             page.heard(event, console.time_left(stage.name))
 
-    outcome = launcher.launch(job, part / LOG, heard, then)
+    outcome = held.launcher.launch(job, part / LOG, heard, then)
     with uninterrupted():  # a result that is there is kept, whatever comes now
         if stage.resumes:
             add_earlier(part / EARLIER, outcome)

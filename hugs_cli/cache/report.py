@@ -32,11 +32,13 @@ class Report:
         self.session, self.module, self.lock = session, module, lock
         self.place = session.workspace.links
         self.rows: dict[str, dict[str, Any]] = {name: {"name": name, "state": "waits"} for name in wanted}
+        self.done: dict[str, Verdict] = {}
         self.process: Process | None = None
         self.now, self.written = "", 0.0
 
     def has(self, name: str, verdict: Verdict) -> None:
         """A result is there."""
+        self.done[name] = verdict
         known = {field.name: getattr(verdict.made, field.name) for field in fields(StageRecord)}
         self.rows[name] = {"name": name, "state": "done", "folder": os.path.abspath(str(verdict.folder)), **known}
         self.now = ""
@@ -67,17 +69,15 @@ class Report:
                 self.place / STATE, json.dumps({**state, "stages": list(self.rows.values()), "over": False, **facts})
             )
 
-    def end(self, done: Mapping[str, Verdict]) -> None:
-        """The page as it stays, of `done` and of the pipeline's other fresh results; made only where it shows something else.
-        StageError where it cannot be made."""
-        found = dict(done)
-        for name, stage in self.session.pipeline.stages.items():
+    def end(self, session: Session) -> None:
+        """The page as it stays, of what there is and of other fresh results of a session; made only where it shows something
+        else. StageError where it cannot be made."""
+        found = dict(self.done)
+        for name, stage in session.pipeline.stages.items():
             if name not in found:
-                found[name] = self.session.verdict(stage, found)
-        shown = {name: found[name] for name in self.session.pipeline.stages if found[name].fresh}
-        made_of = digest(
-            [self.session.code.digests(self.module), {name: one.made.content for name, one in shown.items()}]
-        )
+                found[name] = session.verdict(stage, found)
+        shown = {name: found[name] for name in session.pipeline.stages if found[name].fresh}
+        made_of = digest([session.code.digests(self.module), {name: one.made.content for name, one in shown.items()}])
         if (
             not self.process
             and (self.place / PAGE).exists()
