@@ -129,9 +129,10 @@ class Report:
                 process.popen.kill()
 
         for event in events(process.events, process.id, waits):
+            if event["event"] == "exit":
+                break
             last = event
-        process.wait()
-        process.close()
+        process.end()
         return last
 
 
