@@ -124,19 +124,20 @@ class Launcher:
 
         Returns the event of the first that refuses it, with the stage's name; None if none does.
         """
-        process, stage, last = Process(self.lock), "", {"event": "exit", "code": -signal.SIGKILL}
+        process, stage, last, code = Process(self.lock), "", {"event": ""}, 0
         self.process = process
         process.give({"checks": jobs, "path": sys.path})
         for event in events(process.events, process.id, lambda event: None):
             stage = event.get("stage", stage)
             if event["event"] == "exit":
+                code = event["code"]
                 break
             last = event
         if last["event"] == "checked":
             return None
         if last["event"] in ("error", "crash"):
             return {**last, "stage": stage}
-        problem = f"the check of the inputs of stage {stage} was ended"
+        problem = f"the check of the inputs of stage {stage} was ended by signal {-(code or process.wait())}"
         return {"event": "error", "stage": stage, "problem": problem, "hint": "see whether memory ran out", "facts": []}
 
     def _first(self, log: Path) -> Process:

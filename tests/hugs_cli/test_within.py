@@ -124,6 +124,33 @@ def test_stages_after_training_check_before_it_and_before_the_first(clip):
         clip.video.write_text("other pixels")
 
 
+PAGE = """
+'''Writes a letter for each start, and the stages that it saw last.'''
+import json, time
+from stages.contract import Params
+
+def run(job, params):
+    '''Write report.html.'''
+    with open(job.out / "starts", "a") as file:
+        file.write("x")
+    while not (state := json.loads((job.out / ".report.json").read_text()))["over"]:
+        time.sleep(0.02)
+    (job.out / "report.html").write_text(" ".join(row["name"] for row in state["stages"]))
+"""
+
+
+@pytest.mark.slow
+def test_one_page_grows_through_all_of_the_time(clip):
+    clip.write("page", PAGE)
+    file = clip.folder / "pipelines.yaml"
+    file.write_text(file.read_text().replace("  doc: Tiny.\n", "  doc: Tiny.\n  report: flow.page\n"))
+    _, err = run(clip, "--within", "60s")
+    assert err.splitlines()[0] == "report: work/clip/tiny.60s/report.html"
+    folder = clip.work / "clip" / "tiny.60s"
+    assert (folder / "starts").read_text() == "x"
+    assert (folder / "report.html").read_text() == "one train after"
+
+
 @pytest.mark.slow
 def test_training_gets_what_is_left_of_the_time_and_the_outcome_is_said(finished):
     clip, (out, err) = finished

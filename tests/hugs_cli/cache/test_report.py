@@ -75,6 +75,21 @@ def test_the_page_is_named_first_grows_and_ends_with_all_results(shown):
     assert page.stat().st_mtime_ns != before, "another way to make it"
 
 
+def test_a_run_that_is_refused_names_a_page_only_where_one_is_left_of_an_earlier_run(shown):
+    refuses = """
+def check(params, *, video):
+    from stages.contract import StageError
+    if params.word == "x":
+        raise StageError("no such word")
+"""
+    shown.write("two", (shown.package / "two.py").read_text() + refuses)
+    _, err = shown.hugs("--set", "two.word=x", code=1)
+    assert err.splitlines()[0].startswith("error: no such word") and "report.html" not in err
+    shown.hugs()
+    _, err = shown.hugs("--set", "two.word=x", code=1)
+    assert err.splitlines()[0] == "report: work/clip/default/report.html" and "no such word" in err
+
+
 @pytest.mark.slow
 def test_a_run_of_some_stages_keeps_what_the_others_have(shown):
     shown.hugs()
