@@ -169,7 +169,7 @@ Cost = Callable[[Any, Mapping[str, Path]], float]
 Published = Callable[[str, str], Mapping[str, Sequence[float | None]]]
 
 
-TORCH = ("torch", "scipy.spatial", "numba")
+TORCH = ("torch", "scipy.spatial", "scipy.ndimage", "scipy.optimize", "scipy.interpolate", "numba", "cv2")
 """For LOADS: what stages need that compute with torch or draw."""
 ADAM = (*TORCH, "torch._dynamo")
 """Also what torch's optimisers load."""

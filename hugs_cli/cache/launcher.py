@@ -1,7 +1,7 @@
 """Runs each stage in a process of its own, with `child.py` on the other side.
 
 Loading torch takes 2 s. So it is loaded by a process of which each stage gets a copy; and where the next stage needs libraries
-that are not loaded, such a process is started while a stage still runs.
+that are not loaded, such a process is started beside a stage.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from hugs_cli.cache import child
 from stages.contract import MAXRSS
 
 TICK = 0.25  # s between looks at the clock
-AHEAD = 0.5  # of a stage's progress, from which on the next one's process may load
 
 
 @dataclass
@@ -87,6 +86,8 @@ class Launcher:
                     if asked:
                         with suppress(ProcessLookupError):
                             os.kill(copy, signal.SIGTERM)
+                    if then is not None and not process.has(then):
+                        self.ahead = Process(self.lock, then)
                     continue
                 if event["event"] in ("note", "warning"):
                     said = outcome.notes if event["event"] == "note" else outcome.warnings
@@ -94,8 +95,6 @@ class Launcher:
                         said.append(event["text"])
                 elif event["event"] in ("done", "error", "crash", "stopped"):
                     outcome.kind, outcome.facts = event["event"], event
-                elif then is not None and not self.ahead and not process.has(then) and far_enough(event):
-                    self.ahead = Process(self.lock, then)
                 heard(event)
         finally:
             copy = 0
@@ -206,11 +205,6 @@ class Process:
         os.close(self.events)
         with suppress(BrokenPipeError):
             self.popen.stdin.close()
-
-
-def far_enough(event: dict[str, Any]) -> bool:
-    """Whether a stage says that it has done AHEAD of its work."""
-    return bool(event["event"] == "progress" and event["done"] >= AHEAD * event["total"])
 
 
 def events(pipe: int, process: int, heard: Callable[[dict[str, Any]], None]) -> Iterator[dict[str, Any]]:

@@ -65,10 +65,14 @@ class Training:
         return Pace(HALF, FULL, self.fit.half_until)
 
     @property
+    def weighs_effects(self) -> bool:
+        """Whether it is measured in the end what effects gain."""
+        return self.fit.params.effect_gains and not (self.deadline and self.deadline.hurried)
+
+    @property
     def after(self) -> list[tuple[str, float]]:
         """See `finishing_parts`."""
-        measured = self.deadline is None or not self.deadline.hurried
-        effects = len(effects_of(self.fit)) if measured else 0
+        effects = len(effects_of(self.fit)) if self.weighs_effects else 0
         settling = min(1.0, SHARE * self.fit.progress.total / STEPS)
         return finishing_parts(len(self.fit.people), effects, settling)
 
@@ -233,7 +237,7 @@ def finish(training: Training, job: Job) -> Result:
     pace, steps = deadline.pace if deadline else training.pace, fit.progress.step
     step = pace.last if deadline or pace.slow != 1.0 else training.seconds / max(steps, 1)
     say = Finishing(job, training.after, steps, step)
-    if deadline is None or not deadline.hurried:
+    if training.weighs_effects:
         say.begins(GAINS)
         try:
             found = effect_gains(fit, training.heldout, training.far)

@@ -49,6 +49,8 @@ class Params(contract.Params):
     """The network of that term: AlexNet, or VGG16 as in the paper, which takes seven times as long."""
     curve_points: int = Field(8, gt=0)
     """How often held-out accuracy is measured for the curve; the clock stands still meanwhile."""
+    effect_gains: bool = True
+    """What each effect gains and costs is measured in the end."""
     lbs_learning: bool = True
     """Skinning weights are learned; else they stay those of the body where each Gaussian began (see `hugs ablate`)."""
     human_densify: bool = True

@@ -275,6 +275,19 @@ def test_a_finished_training_is_kept_where_no_part_of_finishing_works(tmp_path, 
     assert all(np.isfinite(part).all() for part in (kept.means, kept.scales, kept.opacities, kept.sh0))
 
 
+@pytest.mark.slow
+def test_what_effects_gain_is_not_measured_where_nobody_asks(tmp_path, made, monkeypatch):
+    def refused(fit, frames, far):
+        raise AssertionError("measured")
+
+    monkeypatch.setattr("stages.training.run.effect_gains", refused)
+    training = replace(made[1], fit=twin(made[1].fit))
+    assert GAINS in dict(training.after)
+    training.fit.params = training.fit.params.model_copy(update={"effect_gains": False})
+    assert GAINS not in dict(training.after)
+    assert finish(training, Job(tmp_path)).facts["effects"] == {}
+
+
 def same_results(one, other) -> bool:
     a, b = contents(one), contents(other)
     return a.keys() == b.keys() and all(np.array_equal(a[name][key], b[name][key]) for name in a for key in a[name])
