@@ -137,10 +137,10 @@ def file() -> Path:
 
 @dataclass(frozen=True)
 class Kept:
-    """What is known of this machine: stages that it ran, in order, and by module what its kernels were compiled of."""
+    """What is known of this machine: stages that it ran, in order, and what kernels were compiled of, see `kernels`."""
 
     rows: list[Row] = field(default_factory=list)
-    kernels: dict[str, str] = field(default_factory=dict)
+    kernels: list[str] = field(default_factory=list)
 
 
 def kept() -> Kept:
@@ -160,7 +160,7 @@ def kernels(session: Session, stage: Stage) -> str:
     """A digest of all that the kernels of a stage are compiled of: they are compiled anew where it is another."""
     code = session.code.digests(stage.module)
     own = {module: text for module, text in code.items() if module.startswith(KERNELS)}
-    return digest([contract.__file__, metadata.version("numba"), own])
+    return digest([contract.__file__, metadata.version("numba"), stage.module, own])
 
 
 def learn(session: Session, stage: Stage, seconds: float, device: str, compiling: float = 0.0) -> None:
@@ -170,7 +170,8 @@ def learn(session: Session, stage: Stage, seconds: float, device: str, compiling
     """
     rows, known = kept().rows, kept().kernels
     if stage.module in COMPILING:
-        known = {**known, stage.module: kernels(session, stage)}
+        own = kernels(session, stage)
+        known = [*(one for one in known if one != own), own][-KEPT:]
     if seconds - compiling >= SHORT and not stage.params.model_dump().get("seconds"):
         alone = (seconds - compiling) * free()
         sizes = sizes_of(session, True)
@@ -183,10 +184,10 @@ def learn(session: Session, stage: Stage, seconds: float, device: str, compiling
 
 @dataclass(frozen=True)
 class Times:
-    """What this machine's earlier runs on a device tell, and what its kernels were compiled of, by module."""
+    """What this machine's earlier runs on a device tell, and what its kernels were compiled of."""
 
     rows: list[Row]
-    kernels: Mapping[str, str] = field(default_factory=dict)
+    kernels: list[str] = field(default_factory=list)
 
     @cached_property
     def by_module(self) -> dict[str, list[Row]]:
@@ -203,7 +204,7 @@ class Times:
     def compiling(self, session: Session, stage: Stage) -> float:
         """Seconds in which a stage compiles kernels that are not there yet."""
         seconds = COMPILING.get(stage.module, 0.0)
-        if not seconds or self.kernels.get(stage.module) == kernels(session, stage):
+        if not seconds or kernels(session, stage) in self.kernels:
             return 0.0
         return seconds * self.pace
 

@@ -168,6 +168,8 @@ def test_what_compiling_takes_is_expected_of_a_first_run_and_learned_from_none(f
     assert forecast(clip).compiling == pytest.approx(64), "as slow as that machine is"
     learn(clip, clip.pipeline.stages["train"], SHORT / 2, "cpu")
     assert forecast(clip).compiling == pytest.approx(4), "a stage that is too short to be kept has compiled, too"
+    code["stages.avatar.one"] = "a"
+    assert not forecast(clip).compiling, "those of another installation, or of code of before, are still there"
 
 
 @pytest.mark.parametrize(

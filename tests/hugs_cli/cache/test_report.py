@@ -88,6 +88,9 @@ def check(params, *, video):
     shown.hugs()
     _, err = shown.hugs("--set", "two.word=x", code=1)
     assert err.splitlines()[0] == "report: work/clip/default/report.html" and "no such word" in err
+    (shown.folder / "work/clip/default/report.html").unlink()
+    _, err = shown.hugs("--set", "two.word=x", code=1)
+    assert " cached " in err and "report.html" not in err
 
 
 @pytest.mark.slow
