@@ -185,7 +185,7 @@ class StageModule:
     resumes: bool = False
     """RESUMES: a run that was cut short goes on in its folder."""
     loads: Sequence[str] = ()
-    """LOADS: libraries that take long to load; its process does so while the stage before it runs."""
+    """LOADS: libraries that take long to load: once for all stages that need them, beside the stage before the first of these."""
     cost: Cost | None = None
     """cost(params, folders): time of the stage after the last step of training, in training steps.
     `folders` are the finished stages before training, by name."""
