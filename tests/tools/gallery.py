@@ -41,8 +41,8 @@ def panel(picture: np.ndarray) -> np.ndarray:
 
 
 def beside(panels: Sequence[np.ndarray]) -> np.ndarray:
-    """Panels in a row, with white between them."""
-    gap = np.full((HEIGHT, GAP, 3), 255, np.uint8)
+    """Panels of one height in a row, with white between them."""
+    gap = np.full((len(panels[0]), GAP, 3), 255, np.uint8)
     return np.concatenate([part for one in panels for part in (one, gap)][:-1], 1)
 
 

@@ -1,0 +1,22 @@
+"""The film whose pictures are made is the one that docs/films.md shows; pictures of one row are of one height."""
+
+import numpy as np
+import yaml
+
+from tests.docs.documents import ROOT
+from tests.tools.pictures import BIN, CLIPS, TALL, beside, shown_film
+
+
+def test_the_films_are_of_the_three_clips():
+    shown = yaml.safe_load(shown_film())
+    assert [one["avatar"] for one in shown["people"]] == [f"work/{clip}/default" for clip in CLIPS]
+    assert shown["camera"] == "hall.npz" and shown["out"].keys() == {"film", "page"}
+    caption = (ROOT / "docs" / "films.md").read_text()
+    two = yaml.safe_load(BIN)
+    assert all(f"`{key}: {two[key]}`" in caption for key in ("light", "camera"))
+    assert f"put {-two['people'][0]['at'][1]} m back" in caption
+
+
+def test_a_row_is_of_one_height():
+    drawn = beside("films", [np.zeros((864, 480, 3), np.uint8), np.zeros((100, 200, 3), np.uint8)])
+    assert drawn.shape[0] == TALL["films"] and drawn.shape[1] == 288 + 1036 + 4
