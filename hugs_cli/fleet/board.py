@@ -203,11 +203,11 @@ def last_states(work: Path, name: str) -> dict[tuple[str, str], str]:
 
 
 def failed_before(planned: Sequence[Planned], work: Path, name: str) -> list[Planned]:
-    """The rows that failed, or were lost, when the fleet was last called, or that cannot begin now; and those that are fresh."""
+    """The rows that failed, or were lost, when the fleet was last called, or that cannot begin now; and those that are made."""
     states = last_states(work, name)
 
     def last(one: Planned) -> str:
         folder = os.path.relpath(one.row.root, work)
         return states.get((plain_cell(folder), plain_cell(one.row.pipeline)), "")
 
-    return [one for one in planned if one.state != "todo" or last(one) in FAILED]
+    return [one for one in planned if one.state != "todo" or not one.todo or last(one) in FAILED]

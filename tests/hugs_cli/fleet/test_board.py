@@ -6,6 +6,7 @@ import csv
 import json
 import os
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -143,6 +144,8 @@ def test_what_failed_is_known_from_the_table_of_the_last_call(show):
     report(show, 1, state="failed", stage="train", problem="dark")
     board.write(show.work, "fleet", show.rows(), totals(show.rows(), 1), live=True)  # and then it was killed
     assert [one.row.name for one in board.failed_before(show.planned, show.work, "fleet")] == ["b", "c"]
+    made = [replace(show.planned[0], todo=[]), *show.planned[1:]]  # its other results are to be let go
+    assert [one.row.name for one in board.failed_before(made, show.work, "fleet")] == ["a", "b", "c"]
     board.write(show.work, "fleet", show.rows(over=True), totals(show.rows(over=True), 1), live=False)
     again = board.failed_before(show.planned, show.work, "fleet")
     assert [one.row.name for one in again] == ["a", "b", "c"]  # the first is lost; what is fresh stays on the page
