@@ -98,7 +98,7 @@ def animate(
     at: Annotated[
         tuple[float, float, float],
         Option(
-            help="In a --scene: where the soles stand, m, in its axes; of a run to the left of its person, 0, ahead."
+            help="Where the soles stand, m: in a --scene file X Y Z in its axes; in a run, LEFT of its person, 0, AHEAD."
         ),
     ] = (0, 0, 0),
     who: Who = 1,

@@ -94,7 +94,7 @@ class Kept:
         None
     )
     person: Annotated[
-        str | None, Option(help="Person to track if several are visible, an id that the run lists; all: each.")
+        str | None, Option(help="Which of several people, by the id that the run lists; all: an avatar of each.")
     ] = None
     cameras: Annotated[Path | None, Option(help="Cameras to import: a COLMAP model's folder, or transforms.json.")] = (
         None
@@ -107,13 +107,15 @@ class Kept:
     height: Annotated[
         list[str] | None,
         Option(
-            metavar="LENGTH", help="How tall, barefoot: 1.85, 185cm, 6ft1. Once for each person in order, or 2=1.70."
+            metavar="LENGTH",
+            help="How tall, barefoot: 1.85, 185cm, 6ft1. Repeat it for each person in order, or name one: 2=1.70.",
         ),
     ] = None
     scale: Annotated[
         str | None,
         Option(
-            metavar="SHOWN=TRUE", help="A length as the page measures it, and in metres; `cameras`: theirs are metres."
+            metavar="SHOWN=TRUE",
+            help="A length as the page shows it, and its true metres; or `cameras`, if those are in metres.",
         ),
     ] = None
     seed: Seed = None

@@ -137,7 +137,8 @@ def runs(workspace: Workspace) -> list[Run]:
         open_ = [name for name, run in found.items() if run is None]
         facts += [f"of one training: {', '.join((run.name, *run.same))}" for run in done if run.same]
         facts += [f"not finished, or trained again since it was measured: {', '.join(open_)}"] if open_ else []
-        hint = "run another one: `hugs run VIDEO --pipeline preview`, or try settings: `hugs costs VIDEO --sweep`"
+        other = "default" if "preview" in found else "preview"
+        hint = f"run another one: `hugs run VIDEO --pipeline {other}`, or try settings: `hugs costs VIDEO --sweep`"
         raise UsageError(f"fewer than two pipelines of {workspace.root} can be compared", hint, facts)
     return done
 

@@ -89,7 +89,7 @@ UNDONE = {
     ),
     **dict.fromkeys([f"--set {one}" for one in ("frames.count=160", "sfm.min_share=0.3", "sfm.overlap=24")], TRAINS),
     **dict.fromkeys(["--set survey.X=always", "--pipeline X", "hugs run FOLDER --pipeline X"], TRAINS),
-    **dict.fromkeys(["hugs run VIDEO", "hugs run VIDEO --pipeline preview", "hugs costs VIDEO --sweep"], TRAINS),
+    **dict.fromkeys(["hugs run VIDEO", "hugs run VIDEO --pipeline X", "hugs costs VIDEO --sweep"], TRAINS),
     **dict.fromkeys(
         [
             "--masks",

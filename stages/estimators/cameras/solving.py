@@ -226,9 +226,9 @@ def solve_turn(
         facts["lens"] |= spreads(compared.turn, task.side) if compared.turns else {}
     only = compared.turns if compared is not None else motion.verdict == "rotation only"
     job.warn(
-        f"the camera {'only turns' if only else 'hardly does more than turn, and no walk explains it'} "
-        f"(a turn explains the {motion.displacement_px:.0f} px by which the background moves to "
-        f"{motion.rotation_residual_px:.2f} px): its clip shows no depth, so only the person is modelled; {HUMAN_ONLY}"
+        f"the camera {'only turns' if only else 'hardly does more than turn, and no walk explains it'} (the background "
+        f"moves by {motion.displacement_px:.0f} px, a turn explains all but {motion.rotation_residual_px:.2f} px): "
+        f"the clip shows no depth, so only the person is modelled; {HUMAN_ONLY}"
     )
     views = fixed_views(len(names))
     views[:, :3, :3] = turns

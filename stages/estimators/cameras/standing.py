@@ -28,7 +28,7 @@ def stands_still(task: Task, displacement: float, facts: dict[str, Any]) -> Solu
     """`still`, said to the user, of a clip whose background moves by `displacement` px."""
     task.job.warn(
         f"the camera stands still (the background moves {displacement:.2f} px between frames): "
-        f"its clip shows no depth, so only the person is modelled; {HUMAN_ONLY}. If it moved, and a caption or a logo stays in "
+        f"the clip shows no depth, so only the person is modelled; {HUMAN_ONLY}. If it moved, and a caption or a logo stays in "
         "place: `--set sfm.camera=moving`"
     )
     return still(task, facts)
@@ -42,7 +42,7 @@ def zooms(task: Task, footage: Footage, zoom: np.ndarray, facts: dict[str, Any])
     found.focals = found.focals * zoom[known]
     task.job.warn(
         f"the camera stands still and zooms (its focal length is {zoom[known].min():.2f} to {zoom[known].max():.2f} times "
-        f"that of the first frame): its clip shows no depth, so only the person is modelled; {HUMAN_ONLY}"
+        f"that of the first frame): the clip shows no depth, so only the person is modelled; {HUMAN_ONLY}"
     )
     return found
 
