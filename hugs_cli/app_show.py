@@ -14,7 +14,7 @@ from hugs_cli import options, pipelines, times, words
 from hugs_cli.app_draw import finished
 from hugs_cli.cache import child
 from hugs_cli.cache.freshness import Verdict
-from hugs_cli.cache.workspace import Stamp
+from hugs_cli.cache.workspace import Stamp, Workspace
 from hugs_cli.console import Console
 from hugs_cli.options import (
     AnyPipeline,
@@ -103,8 +103,8 @@ def view(
     """
     console = Console()
     pipeline = pipeline_of(video, work, pipeline, console, "export")
-    (folder,) = finished(video, work, pipeline, "export")
-    page = folder / PAGE
+    finished(video, work, pipeline, "export")
+    page = Workspace(video, work, pipeline).links / "export" / PAGE
     if not page.is_file():
         command = words.command("run", video, "export", pipeline=pipeline, work=work)
         facts = ["it was written without `viewer` in `export.formats`, or by a hugs that had no page"]
