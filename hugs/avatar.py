@@ -238,6 +238,7 @@ def load(path: str | PathLike[str], who: int = 1, device: str = "cpu") -> Avatar
     clip = load_clip(sfm, smpl, train, who)
     times = np.array(read_facts(place / "frames" / "frames.json", Listing).times(clip.names))
     views = zip(clip.viewmats, clip.Ks, strict=True)
+    body = clip.body if record.fingers is not None else replace(clip.body, hands=None)
     return _avatar(
         record,
         clip.body_model,
@@ -247,7 +248,7 @@ def load(path: str | PathLike[str], who: int = 1, device: str = "cpu") -> Avatar
         scene=None if scene is None else Gaussians([load_scene(scene, device)]),
         frames=clip.names,
         cameras=tuple(Camera.of(viewmat, K, clip.width, clip.height) for viewmat, K in views),
-        clip=Motion.of(clip_move(clip.body, times), clip.body.confidence > 0),
+        clip=Motion.of(clip_move(body, times), clip.body.confidence > 0),
         floor=read_ground(smpl / "ground.json"),
         light=replace(effects, shutter=None, readout=None),
     )

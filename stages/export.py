@@ -20,7 +20,7 @@ from stages.formats.people import folder_of, job_of, model_of, people_of
 if TYPE_CHECKING:
     from stages.avatar.motion.placing import Soles
     from stages.formats.viewer import Exhibit
-    from stages.records import Avatar, BodyPoses, Ground, Rig, Scene, Take
+    from stages.records import Avatar, Ground, Rig, Scene, Take
 
 LOADS = contract.TORCH
 RIGGED = ("glb", "vrm", "splats_glb")
@@ -97,7 +97,11 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
         rig = rig_of(avatar)
         soles = Soles.of_rig(rig)
         _still(own, params, avatar, around, soles, ground)
-        takes = _takes(frames, there, ground, soles) if formats & {*RIGGED, "bvh", *MOVING} else []
+        takes = (
+            _takes(frames, folder_of(smpl, person), there, ground, soles, avatar)
+            if formats & {*RIGGED, "bvh", *MOVING}
+            else []
+        )
         if formats & set(RIGGED):
             _rigged(own, params, avatar, rig, takes, soles.floor)
         if "bvh" in formats:
@@ -158,41 +162,45 @@ def _say_held(job: Job, name: str, clamped: dict[str, int]) -> None:
         job.note(line)
 
 
-def _takes(frames: Path, train: Path, ground: Ground, soles: Soles) -> list[Take]:
-    """The clip's own motion, if anybody was seen, and the made ones."""
+def _takes(frames: Path, smpl: Path, train: Path, ground: Ground, soles: Soles, avatar: Avatar) -> list[Take]:
+    """The clip's own motion, if anybody was seen, and the made ones, with the avatar's clothes and fingers.
+
+    `smpl` and `train` are the person's own folders of these stages.
+    """
     import numpy as np
 
+    from stages.avatar.drawing.avatar import load_avatar
+    from stages.avatar.drawing.takes import hung
     from stages.avatar.motion.takes import clip_take, made_takes
+    from stages.formats.hands import hands_in, with_hands
     from stages.formats.poses import read_poses
 
-    body: BodyPoses = read_poses(train / "body.npz")
+    body = with_hands(read_poses(train / "body.npz"), hands_in(smpl))
     clip = clip_take(body, np.array(read_facts(frames / "frames.json", Listing).times(body.names)), ground, soles)
-    return [*([clip] if clip else []), *made_takes(soles.joints[0])]
+    baked = load_avatar(avatar)
+    return [hung(baked, take) for take in [*([clip] if clip else []), *made_takes(soles.joints[0])]]
 
 
 def _rigged(job: Job, params: Params, avatar: Avatar, rig: Rig, takes: list[Take], floor: float) -> None:
     """The person on a skeleton with motions: as a textured mesh, and as Gaussians."""
-    from stages.avatar.drawing.avatar import load_avatar
-    from stages.avatar.drawing.takes import hung
     from stages.avatar.surface.mesh import NoSurfaceError, surface_of
     from stages.formats.exchange.avatar_glb import write_avatar_glb
     from stages.formats.exchange.avatar_vrm import write_avatar_vrm
     from stages.formats.exchange.splats_glb import write_splats_glb
     from stages.gestures import FACE_NAMES, FINGER_NAMES
 
-    baked, has = load_avatar(avatar), f"{params.names} skeleton; motions {', '.join(take.name for take in takes)}"
-    told, glb = [hung(baked, take) for take in takes], job.out / "avatar.glb"
+    has = f"{params.names} skeleton; motions {', '.join(take.name for take in takes)}"
+    glb, fingers = job.out / "avatar.glb", f", {len(FINGER_NAMES)} finger bones" * (rig.fingers is not None)
     if {"glb", "vrm"} & set(params.formats):
         try:
             mesh = surface_of(avatar, params.triangles, params.texture)
         except NoSurfaceError as error:
             hint = f"--set 'export.formats=[{', '.join(one for one in params.formats if one not in ('glb', 'vrm'))}]'"
             raise StageError("the person's Gaussians make no mesh", hint, [str(error)]) from error
-        size = f"{len(mesh.faces)} triangles, texture {len(mesh.texture)} px"
-        size += f", {len(FINGER_NAMES)} finger bones" * (rig.finger_joints is not None)
+        size = f"{len(mesh.faces)} triangles, texture {len(mesh.texture)} px{fingers}"
         size += f", {len(FACE_NAMES)} shapes of the face" * (mesh.morphs is not None)
         if "glb" in params.formats:
-            write_avatar_glb(glb, rig, mesh, told, params.names, floor)
+            write_avatar_glb(glb, rig, mesh, takes, params.names, floor)
             job.note(f"avatar.glb: {size}, {glb.stat().st_size / 1e6:.1f} MB; {has}")
         if "vrm" in params.formats:
             write_avatar_vrm(job.out / "avatar.vrm", rig, mesh, params.vrm, params.names, floor)
@@ -200,8 +208,8 @@ def _rigged(job: Job, params: Params, avatar: Avatar, rig: Rig, takes: list[Take
         for line in mesh.said:
             job.note(f"mesh: {line}")
     if "splats_glb" in params.formats:
-        write_splats_glb(job.out / "avatar_splats.glb", rig, told, params.names, floor)
-        job.note(f"avatar_splats.glb: Gaussians as points; {has}")
+        write_splats_glb(job.out / "avatar_splats.glb", rig, takes, params.names, floor)
+        job.note(f"avatar_splats.glb: Gaussians as points{fingers}; {has}")
 
 
 def _chosen(takes: list[Take], motion: str) -> list[Take]:
@@ -220,9 +228,10 @@ def _motions(job: Job, params: Params, rig: Rig, takes: list[Take], floor: float
     for take in (one for one in takes if params.motion in (one.name, "all") or one.name == "clip"):
         name = "motion.bvh" if take.name == "clip" else f"motion_{take.name}.bvh"
         spaced = even(take)
-        write_motion_bvh(job.out / name, rig.joints, rig.parents.tolist(), spaced, params.names, floor)
+        write_motion_bvh(job.out / name, rig, spaced, params.names, floor)
         made = f", {len(spaced) - len(take)} of them between two frames" if len(spaced) > len(take) else ""
-        job.note(f"{name}: {len(spaced)} poses{made}, {params.names} names, metres")
+        bent = ", fingers" * (spaced.fingers is not None)
+        job.note(f"{name}: {len(spaced)} poses{made}{bent}, {params.names} names, metres")
     if all(take.name != "clip" for take in takes):
         job.note("no motion.bvh: nobody is seen in this clip")
 

@@ -62,7 +62,7 @@ class BodyPoses:
 
     `names` are frame names; `betas` [10]; `global_orient` [F,3] and `body_pose` [F,69] rotation vectors in radians; `transl`
     [F,3] m; `confidence` [F] from 0 (no evidence, do not train on it) to 1. The world has the axes of the SfM frame;
-    `world_from_sfm` is its metres per SfM unit.
+    `world_from_sfm` is its metres per SfM unit. `hands` [F,2,15,3] rad as `gestures.HandPoses` has them, where fingers are read.
     """
 
     names: tuple[str, ...]
@@ -72,6 +72,7 @@ class BodyPoses:
     transl: np.ndarray
     confidence: np.ndarray
     world_from_sfm: float = 1.0
+    hands: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.names)
@@ -244,9 +245,11 @@ class Rig(Scene):
     A pose moves a Gaussian by the sum of weight x transform of its bones; at rest all transforms are the identity, and bone k
     turns about joints[k]. joints[24,3] m, named by JOINT_NAMES; parents[24] (root -1); bones[N,4] uint8, the heaviest first;
     weights[N,4] uint8, a row adds up to 255; kept[N]: the share of all its weights that the four have; bones8[N,8] and
-    words8[N,8] uint16, rows adding up to 65535, for who skins with eight; facing[N,3] unit, the direction in which each is lit;
-    betas[10]. From 24 on bones are those of `clothes`, if any, as an Avatar's; of what is cloth there are `slopes`.
-    finger_joints[40,3] m, where there are fingers: where the bones of FINGER_NAMES begin, as hands lie in the avatar, then tips.
+    words8[N,8] uint16, rows adding up to 65535, for who skins with eight, with finger bones after all others; facing[N,3] unit,
+    the direction in which each is lit; betas[10]. From 24 on bones are those of `clothes`, if any, as an Avatar's; of what is
+    cloth there are `slopes`.
+    Where there are `fingers`, as an Avatar's, finger_joints[40,3] m are where the bones of FINGER_NAMES begin, as hands lie in the
+    avatar, then tips.
     """
 
     joints: np.ndarray
@@ -260,6 +263,7 @@ class Rig(Scene):
     betas: np.ndarray
     clothes: Clothes | None = field(default=None, kw_only=True)
     slopes: Slopes | None = field(default=None, kw_only=True)
+    fingers: Fingers | None = field(default=None, kw_only=True)
     finger_joints: np.ndarray | None = field(default=None, kw_only=True)
 
 
@@ -290,14 +294,18 @@ class Take:
 
     `times` [F] s, rising from 0; `rotations` [F,24,4] w x y z, unit, of each joint in its parent's axes, the root's in
     the world's; `pelvis` [F,3] m, where the root joint is. Between two poses turns are slerped, places linear.
-    `clothes` [F,K,7], with the bones of clothes: their turns, w x y z, and places, m, in the axes of the joint they hang on.
+    `hands` [F,2,15,3] rad, as FINGER_NAMES, where fingers move. As an avatar performs it there are `clothes` [F,K,7], with the
+    bones of clothes: their turns, w x y z, and places, m, in the axes of the joint they hang on; and `fingers` [F,30,4], turns of
+    finger bones in the axes of the bone above, from where they lie in the avatar.
     """
 
     name: str
     times: np.ndarray
     rotations: np.ndarray
     pelvis: np.ndarray
+    hands: np.ndarray | None = None
     clothes: np.ndarray | None = None
+    fingers: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.times)

@@ -29,8 +29,9 @@ from stages.formats.body_model import read_body_model
 from stages.formats.exchange.read import lacks, read_any_avatar
 from stages.formats.facts import Listing, read_facts
 from stages.formats.ground import read_ground
+from stages.formats.hands import hands_in, with_hands
 from stages.formats.motions.face_csv import read_face
-from stages.formats.people import model_of
+from stages.formats.people import folder_of, model_of
 from stages.formats.poses import read_poses
 from stages.formats.splats import read_avatar
 from stages.formats.trained import trained_of
@@ -210,6 +211,7 @@ def _own(run: Path | None, person: Person, manner: Manner, soles: Soles) -> Plac
         hint = "give them a motion: `motion: moves.bvh`"
         raise StageError(f"{person.avatar} has no clip to move as in", hint, ["an exported avatar holds no motion"])
     body = read_poses(trained_of(run / "train", person.who) / "body.npz")
+    body = with_hands(body, hands_in(folder_of(run / "smpl", person.who)))
     times = np.array(read_facts(run / "frames" / "frames.json", Listing).times(body.names))
     placed = from_clip(body, times, read_ground(run / "smpl" / "ground.json"), manner, soles)
     if placed is None:

@@ -164,5 +164,5 @@ def take(shoot: Shoot, actor: Actor) -> Take:
     """What an actor does in the film, on a floor at height 0."""
     rows, placed = [actor.row(number) for number in range(shoot.count)], actor.placed
     pelvis = placed.transl[rows] + actor.soles.joints[0]
-    times = np.arange(shoot.count) / shoot.fps
-    return hung(actor.baked, take_of("film", times, placed.global_orient[rows], placed.body_pose[rows], pelvis))
+    times, hands = np.arange(shoot.count) / shoot.fps, None if placed.hands is None else placed.hands[rows]
+    return hung(actor.baked, take_of("film", times, placed.global_orient[rows], placed.body_pose[rows], pelvis, hands))

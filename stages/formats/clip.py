@@ -12,7 +12,7 @@ import numpy as np
 from stages.contract import StageError
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras
-from stages.formats.hands import read_hands
+from stages.formats.hands import hands_in, with_hands
 from stages.formats.images import Kept, read_image, read_mask
 from stages.formats.people import folder_of, masks_of, model_of, people_of
 from stages.formats.points import read_points
@@ -154,6 +154,7 @@ def load_clip(sfm: Path, smpl: Path, train: Path | None = None, person: int = 1)
             "take the place of the first camera off all cameras, points and poses before they are given",
             [f"the limit is {FARTHEST:.0f} m: beyond, float32 is too coarse for a person's skin"],
         )
+    hands = hands_in(folder_of(smpl, person))
     xyz, rgb = read_points(sfm / "points.ply")
     return Clip(
         folder=sfm,
@@ -161,14 +162,8 @@ def load_clip(sfm: Path, smpl: Path, train: Path | None = None, person: int = 1)
         viewmats=viewmats,
         points=xyz.astype(np.float64) * poses.world_from_sfm,
         colors=rgb,
-        body=ordered,
+        body=with_hands(ordered, hands),
         body_model=read_body_model(model_of(smpl, person)),
         person=person,
-        hands=_shape(folder_of(smpl, person) / "hands.npz"),
+        hands=hands and hands.shape,
     )
-
-
-def _shape(path: Path) -> np.ndarray | None:
-    """The shape of the hands that a hands.npz has; None without the file, and where no hand was read."""
-    hands = read_hands(path) if path.is_file() else None
-    return hands.shape if hands is not None and hands.read.any() else None

@@ -201,7 +201,7 @@ class PosedAvatar:
         """An avatar in the poses [P,3], [P,69] and [P,3], or in one, of [3], [69] and [3]; with `hands` [P,2,15,3] and `face`
         [P,52], if it has fingers and a face.
         """
-        parts = (torch.as_tensor(np.asarray(part)).to(avatar.joints) for part in pose)
+        parts = (torch.as_tensor(part).to(avatar.joints) for part in pose)
         made = cls(avatar, *(torch.atleast_2d(part) for part in parts))
         if hands is not None and avatar.gloves is not None:
             made = replace(made, avatar=gloved(avatar), hands=torch.as_tensor(hands).to(avatar.joints))

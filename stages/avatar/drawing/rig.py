@@ -10,7 +10,7 @@ from stages import gestures, records
 from stages.avatar.body.fingers import finger_bones
 from stages.avatar.body.skinning import MOST, WORDS, heaviest
 from stages.avatar.body.stretch import cloth_of
-from stages.avatar.drawing.avatar import load_avatar
+from stages.avatar.drawing.avatar import gloved, load_avatar
 from stages.avatar.splats.factor import factored
 from stages.avatar.splats.gaussians import Splats
 
@@ -22,13 +22,14 @@ def rig_of(avatar: records.Avatar) -> records.Rig:
 
     Where weights mix, skinning from the T-pose is what the avatar was trained with, and from any other pose it is not.
     """
-    at_rest = load_avatar(avatar).resting
+    baked = load_avatar(avatar)
+    at_rest, fingered = baked.resting, baked if baked.gloves is None else gloved(baked)
     resting = factored(
         Splats(at_rest.means, at_rest.axes, at_rest.opacities, at_rest.sh, at_rest.rotations, avatar.antialias)
     )
     all_weights = np.asarray(avatar.lbs_weights, np.float64)
     bones, weights, kept = heaviest(all_weights)
-    bones8, words8, _ = heaviest(all_weights, MOST, WORDS)
+    bones8, words8, _ = heaviest(fingered.resting.weights.double().numpy(), MOST, WORDS)
     return records.Rig(
         **vars(resting),
         joints=np.asarray(avatar.joints, np.float32),
@@ -42,6 +43,7 @@ def rig_of(avatar: records.Avatar) -> records.Rig:
         betas=np.asarray(avatar.betas, np.float32),
         clothes=avatar.clothes,
         slopes=_slopes(at_rest.means, at_rest.weights, len(avatar.joints)),
+        fingers=avatar.fingers,
         finger_joints=None if avatar.fingers is None else _lying(avatar.fingers),
     )
 

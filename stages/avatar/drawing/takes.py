@@ -1,4 +1,4 @@
-"""An avatar in the poses of a take, with all its bones and its clothes."""
+"""An avatar in the poses of a take, with all its bones, its clothes and its fingers."""
 
 from __future__ import annotations
 
@@ -10,23 +10,39 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from stages import records
-from stages.avatar.body.rotations import quat_from_matrix
+from stages.avatar.body.rotations import matrix_from_rotvec, quat_from_matrix
 from stages.avatar.drawing.avatar import Baked, PosedAvatar, bones_of
 from stages.avatar.splats.factor import factored
 
 
 def posed(avatar: Baked, take: records.Take) -> Iterator[records.Scene]:
     """The Gaussians at each pose of the take, y up."""
-    who = PosedAvatar(avatar, *_poses(avatar, take))
+    who = PosedAvatar.of(avatar, *_poses(avatar, take), hands=take.hands)
     for i in range(len(take)):
         yield factored(who.splats(i))
 
 
 def hung(avatar: Baked, take: records.Take) -> records.Take:
-    """The take with the bones of the avatar's clothes: where each of K is in the axes of the joint that it hangs on.
+    """The take with the bones of the avatar's clothes, where each of K is in the axes of the joint that it hangs on, and with its
+    fingers, if the take moves them.
 
     Bones that are stretched by those which carry them are made rigid: engines turn and move.
     """
+    return _clothed(avatar, _fingered(avatar, take))
+
+
+def _fingered(avatar: Baked, take: records.Take) -> records.Take:
+    if avatar.gloves is None or take.hands is None:
+        return take
+    lying = matrix_from_rotvec(avatar.gloves.shape).unflatten(1, (5, 3))
+    turns = matrix_from_rotvec(torch.as_tensor(take.hands).to(avatar.joints)).unflatten(2, (5, 3))
+    first, second = lying[:, :, 0], lying[:, :, 0] @ lying[:, :, 1]
+    above = torch.stack([torch.eye(3).to(first).expand_as(first), first, second], 2)
+    quats = quat_from_matrix((above @ turns @ lying.mT @ above.mT).flatten(1, 3))
+    return replace(take, fingers=quats.cpu().numpy())
+
+
+def _clothed(avatar: Baked, take: records.Take) -> records.Take:
     clothing = avatar.clothing
     if clothing is None:
         return take

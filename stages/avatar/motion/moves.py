@@ -15,7 +15,8 @@ def clip_move(body: records.BodyPoses, times: np.ndarray) -> gestures.Move:
     """What the person did in the clip, a pose a frame, at the mean rate of `times` [F] s (one a second where none pass)."""
     passed = float(np.ptp(times))
     fps = (len(times) - 1) / passed if passed > 0 else 1.0
-    return gestures.Move("In the clip", fps, np.concatenate([body.global_orient, body.body_pose], 1), body.transl)
+    turns = np.concatenate([body.global_orient, body.body_pose], 1)
+    return gestures.Move("In the clip", fps, turns, body.transl, body.hands)
 
 
 def by_formula(name: str, soles: Soles, seconds: float, fps: float) -> Placed:

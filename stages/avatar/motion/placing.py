@@ -13,8 +13,10 @@ from stages import records
 from stages.avatar.body.joints import ANKLES, FEET, HIPS
 from stages.avatar.body.skinning import all_bones
 from stages.avatar.body.smpl import Body
+from stages.avatar.motion.hands import matrices
 from stages.avatar.motion.hands import rotvecs as rotvecs_of
 from stages.avatar.motion.retarget import Performance, leg_of
+from stages.gestures import FINGER_NAMES
 
 UPS = {"y": (0, 1, 0), "-y": (0, -1, 0), "z": (0, 0, 1), "-z": (0, 0, -1)}
 SURE = 0.8
@@ -101,7 +103,8 @@ class Soles:
         joints, stiff = torch.as_tensor(rig.joints, dtype=f64), torch.eye(len(rig.joints), dtype=f64)
         points = torch.cat([torch.as_tensor(rig.means[kept], dtype=f64), joints])
         own = 0 if rig.clothes is None else len(rig.clothes.centres)
-        share = torch.as_tensor(all_bones(rig.bones8[kept], rig.words8[kept], len(joints) + own))[:, : len(joints)]
+        bones = len(joints) + own + len(FINGER_NAMES)
+        share = torch.as_tensor(all_bones(rig.bones8[kept], rig.words8[kept], bones))[:, : len(joints)]
         weights = torch.cat([share / share.sum(1, keepdim=True), stiff])
         return cls(Body.still(points, weights, joints, rig.parents.tolist()), rig.betas)
 
@@ -146,7 +149,8 @@ def filmed(body: records.BodyPoses, rows: np.ndarray, ground: records.Ground, so
     rotations = Rotation.from_rotvec(rotvecs).as_matrix().reshape(len(rows), -1, 3, 3)
     _, joints = soles.at(body.global_orient[rows], body.body_pose[rows], body.transl[rows])
     rotations[:, 0] = back.as_matrix() @ rotations[:, 0]
-    return Performance(rotations, back.apply(joints[:, HIPS].mean(1) - ground.point), leg_of(soles.joints))
+    hands = None if body.hands is None else matrices(body.hands[rows])
+    return Performance(rotations, back.apply(joints[:, HIPS].mean(1) - ground.point), leg_of(soles.joints), hands)
 
 
 def put(

@@ -28,7 +28,7 @@ def clip_take(body: records.BodyPoses, times: np.ndarray, ground: records.Ground
     placed = on_floor(motion, (len(rows) - 1) / passed if passed > 0 else 1.0, soles)
     pelvis = placed.transl + soles.joints[0] * [0, 1, 0] + [0, soles.floor, 0]
     pelvis += (soles.joints[0] - pelvis[0]) * [1, 0, 1]
-    return take_of("clip", times[rows] - times[rows[0]], placed.global_orient, placed.body_pose, pelvis)
+    return take_of("clip", times[rows] - times[rows[0]], placed.global_orient, placed.body_pose, pelvis, placed.hands)
 
 
 def made_takes(pelvis: np.ndarray) -> list[records.Take]:
@@ -40,27 +40,38 @@ def made_takes(pelvis: np.ndarray) -> list[records.Take]:
     return takes
 
 
-def take_of(name: str, times: np.ndarray, orient: np.ndarray, pose: np.ndarray, pelvis: np.ndarray) -> records.Take:
-    """The take of rotation vectors orient [F,3] and pose [F,69] rad, and pelvis [F,3] m, at `times` [F] s."""
+def take_of(
+    name: str,
+    times: np.ndarray,
+    orient: np.ndarray,
+    pose: np.ndarray,
+    pelvis: np.ndarray,
+    hands: np.ndarray | None = None,
+) -> records.Take:
+    """The take of rotation vectors orient [F,3], pose [F,69] and `hands` [F,2,15,3] rad, and pelvis [F,3] m, at `times` [F] s."""
     rotvecs = np.concatenate([orient, pose], 1).reshape(-1, 3)
     quats = Rotation.from_rotvec(rotvecs).as_quat(scalar_first=True).reshape(len(times), -1, 4)
     near = np.where((quats[1:] * quats[:-1]).sum(-1) < 0, -1.0, 1.0)  # q and -q are one turn; players interpolate
     quats[1:] *= np.cumprod(near, axis=0)[..., None]
-    return records.Take(name, times, quats, pelvis)
+    return records.Take(name, times, quats, pelvis, hands)
 
 
 def even(take: records.Take) -> records.Take:
     """The take at its own pace, that of most of its steps: turns slerped, places linear between its poses, the ends kept.
 
-    Clothes are left out.
+    Clothes are left out, and of fingers only their bones' turns are there.
     """
     if len(take) < 2:
         return replace(take, clothes=None)
     steps = max(1, round(take.times[-1] / np.median(np.diff(take.times))))
     times = np.linspace(0, take.times[-1], steps + 1)
-    turns = [
-        Slerp(take.times, Rotation.from_quat(quats, scalar_first=True))(times).as_quat(scalar_first=True)
-        for quats in np.moveaxis(take.rotations, 1, 0)
-    ]
+
+    def slerped(quats: np.ndarray) -> np.ndarray:
+        turns = [
+            Slerp(take.times, Rotation.from_quat(one, scalar_first=True))(times) for one in np.moveaxis(quats, 1, 0)
+        ]
+        return np.stack([turn.as_quat(scalar_first=True) for turn in turns], 1)
+
     pelvis = np.stack([np.interp(times, take.times, axis) for axis in take.pelvis.T], 1)
-    return records.Take(take.name, times, np.stack(turns, 1), pelvis)
+    fingers = None if take.fingers is None else slerped(take.fingers)
+    return records.Take(take.name, times, slerped(take.rotations), pelvis, fingers=fingers)

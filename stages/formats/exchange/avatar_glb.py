@@ -15,7 +15,7 @@ import numpy as np
 
 from stages.formats.exchange.bone_names import Names
 from stages.formats.exchange.glb import TRIANGLES, VERTICES, Arrays, write_glb
-from stages.formats.exchange.skeleton import Skeleton, fingered
+from stages.formats.exchange.skeleton import Skeleton, skeleton_of
 from stages.gestures import FACE_NAMES
 from stages.records import Mesh, Rig, Take
 
@@ -28,7 +28,7 @@ def write_avatar_glb(
     path: Path, rig: Rig, mesh: Mesh, takes: Sequence[Take], names: Names = "smpl", floor: float = 0.0
 ) -> None:
     """Write the avatar; the same avatar makes the same bytes. The floor of the T-pose is at the height `floor` m of the rig."""
-    arrays, content, skeleton = Arrays(), start("avatar"), fingered(rig, names)
+    arrays, content, skeleton = Arrays(), start("avatar"), skeleton_of(rig, names)
     stand = {"name": "stand", "translation": [0.0, -floor, 0.0]}
     first = add_figure(content, arrays, "body", skeleton, surface(content, mesh, arrays), stand)
     add_motions(content, arrays, skeleton, takes, first)

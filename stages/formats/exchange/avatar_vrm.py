@@ -12,7 +12,7 @@ from typing import Any
 from stages.formats.exchange.avatar_glb import add_figure, start, surface
 from stages.formats.exchange.bone_names import Names, bone_names, finger_names
 from stages.formats.exchange.glb import Arrays, write_glb
-from stages.formats.exchange.skeleton import fingered
+from stages.formats.exchange.skeleton import skeleton_of
 from stages.formats.exchange.vrm_meta import VrmMeta
 from stages.gestures import FACE_NAMES
 from stages.records import Mesh, Rig
@@ -45,7 +45,7 @@ def write_avatar_vrm(path: Path, rig: Rig, mesh: Mesh, meta: VrmMeta, names: Nam
     """Write the avatar; the same avatar makes the same bytes. The floor of the T-pose is at the height `floor` m of the rig."""
     arrays, content = Arrays(), start("avatar")
     stand = {"name": "stand", "translation": [0.0, -floor, 0.0]}
-    first = add_figure(content, arrays, "body", fingered(rig, names), surface(content, mesh, arrays), stand)
+    first = add_figure(content, arrays, "body", skeleton_of(rig, names), surface(content, mesh, arrays), stand)
     bones = {bone: {"node": first + joint} for joint, bone in enumerate(bone_names("vrm"))}
     if rig.finger_joints is not None:
         fingers = first + len(rig.joints) + (0 if rig.clothes is None else len(rig.clothes))

@@ -8,7 +8,7 @@ from typing import Any
 
 from stages.formats.exchange.avatar_glb import add_figure, start, surface
 from stages.formats.exchange.glb import Arrays, write_glb
-from stages.formats.exchange.skeleton import fingered
+from stages.formats.exchange.skeleton import skeleton_of
 from stages.formats.exchange.splats_glb import SPLATS, points
 from stages.records import Mesh, Rig, Scene, Take
 
@@ -26,7 +26,7 @@ def write_film_glb(path: Path, figures: Sequence[tuple[str, Rig, Mesh, Take, Sta
     channels: list[dict[str, Any]] = []
     for name, rig, mesh, take, (place, quat, scale) in figures:
         stand = {"name": name, "translation": place, "rotation": quat, "scale": [scale] * 3}
-        skeleton = fingered(rig)
+        skeleton = skeleton_of(rig)
         first = add_figure(content, arrays, f"{name} body", skeleton, surface(content, mesh, arrays), stand)
         moves = skeleton.animation(take, arrays, first)
         channels += [channel | {"sampler": channel["sampler"] + len(samplers)} for channel in moves["channels"]]

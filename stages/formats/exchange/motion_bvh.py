@@ -1,19 +1,24 @@
 """A motion as BVH, the text that nearly every program with a skeleton reads: metres, y up, facing z, the floor at height 0.
 
-With all angles 0 it is the T-pose. The place of the root moves, and the angles of all joints.
+With all angles 0 it is the T-pose, with fingers as they lie in the avatar; a take that does not move them has none. The place of
+the root moves, and the angles of all joints.
 https://research.cs.wisc.edu/graphics/Courses/cs-838-1999/Jeff/BVH.html
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from stages.formats.exchange.bone_names import Names, bone_names
-from stages.records import JOINT_NAMES, Take
+from stages.formats.exchange.bone_names import Names
+from stages.formats.exchange.skeleton import skeleton_of
+from stages.gestures import FINGER_NAMES
+from stages.records import JOINT_NAMES, JOINTS, Rig, Take
 
 LEGS = ("hip", "knee", "ankle", "foot")
 ORDERS = ("ZXY", "ZYX")
@@ -28,24 +33,43 @@ ENDS = {
 """Where bones without a child end, m."""
 
 
-def write_motion_bvh(
-    path: Path, joints: np.ndarray, parents: Sequence[int], take: Take, names: Names = "smpl", floor: float = 0.0
-) -> None:
-    """Write a take with even times, of a body with rest `joints` [24,3] m and their `parents` [24].
+class _Bones(NamedTuple):
+    """What the file has of J joints: names, places [J,3] m at rest, where bones without a child end, and who hangs on whom."""
 
-    The take's floor is at the height `floor` m of these joints. A single pose lasts a second. The same take makes the same bytes.
+    names: Sequence[str]
+    places: np.ndarray
+    ends: dict[int, tuple[float, ...]]
+    children: dict[int, list[int]]
+
+
+def write_motion_bvh(path: Path, rig: Rig, take: Take, names: Names = "smpl", floor: float = 0.0) -> None:
+    """Write a take with even times, of a rig without its clothes.
+
+    The take's floor is at the height `floor` m of the rig's joints. A single pose lasts a second. The same take makes the same
+    bytes.
     """
-    children: dict[int, list[int]] = {}
-    for joint, parent in enumerate(parents):
-        children.setdefault(int(parent), []).append(joint)
-    (root,) = children[-1]
-    order = list(_downwards(root, children))
-    lines = ["HIERARCHY", *_hierarchy(root, joints - [0, floor, 0], bone_names(names), children)]
+    bones = _bones(rig, names, take.fingers is not None)
+    turns = take.rotations if take.fingers is None else np.concatenate([take.rotations, take.fingers], 1)
+    (root,) = bones.children[-1]
+    order = list(_downwards(root, bones.children))
+    lines = ["HIERARCHY", *_hierarchy(root, bones)]
     seconds = take.times[-1] / (len(take) - 1) if len(take) > 1 else 1.0
     lines += ["MOTION", f"Frames: {len(take)}", f"Frame Time: {seconds:.8f}"]
-    rows = np.concatenate([take.pelvis - [0, floor, 0], _angles(take.rotations)[:, order].reshape(len(take), -1)], 1)
+    rows = np.concatenate([take.pelvis - [0, floor, 0], _angles(turns)[:, order].reshape(len(take), -1)], 1)
     lines += [" ".join(f"{value:.5f}" for value in row + 0.0) for row in np.round(rows, 5)]
     path.write_text("\n".join(lines) + "\n", encoding="ascii")
+
+
+def _bones(rig: Rig, names: Names, fingers: bool) -> _Bones:
+    skeleton = skeleton_of(replace(rig, clothes=None, finger_joints=rig.finger_joints if fingers else None), names)
+    ends = {i: end for i, name in enumerate(JOINT_NAMES) if (end := ENDS.get(name) or ENDS.get(name.partition("_")[2]))}
+    if rig.finger_joints is not None:
+        joints, tips = np.split(rig.finger_joints, [len(FINGER_NAMES)])
+        ends |= {JOINTS + 3 * finger + 2: tuple(end) for finger, end in enumerate((tips - joints[2::3]).tolist())}
+    children: dict[int, list[int]] = {}
+    for joint, parent in enumerate(skeleton.parents.tolist()):
+        children.setdefault(parent, []).append(joint)
+    return _Bones(skeleton.names, skeleton.places, ends, children)
 
 
 def _downwards(joint: int, children: dict[int, list[int]]) -> Iterator[int]:
@@ -55,22 +79,19 @@ def _downwards(joint: int, children: dict[int, list[int]]) -> Iterator[int]:
         yield from _downwards(child, children)
 
 
-def _hierarchy(
-    joint: int, joints: np.ndarray, names: Sequence[str], children: dict[int, list[int]], above: int = -1
-) -> Iterator[str]:
+def _hierarchy(joint: int, bones: _Bones, above: int = -1) -> Iterator[str]:
     """The lines of a joint and all below it. The root's offset is 0: some programs add it to its place, some do not."""
-    step = joints[joint] - joints[above] if above >= 0 else np.zeros(3)
+    step = bones.places[joint] - bones.places[above] if above >= 0 else np.zeros(3)
     place = "" if above >= 0 else "Xposition Yposition Zposition "
-    yield f"{'ROOT' if above < 0 else 'JOINT'} {names[joint]}"
+    yield f"{'ROOT' if above < 0 else 'JOINT'} {bones.names[joint]}"
     yield "{"
     yield _offset(step)
     turns = " ".join(f"{axis}rotation" for axis in _order(joint))
     yield f"CHANNELS {3 + 3 * (above < 0)} {place}{turns}"
-    for child in children.get(joint, ()):
-        yield from _hierarchy(child, joints, names, children, joint)
-    if joint not in children:
-        name = JOINT_NAMES[joint]
-        yield from ("End Site", "{", _offset(ENDS.get(name) or ENDS[name.partition("_")[2]]), "}")
+    for child in bones.children.get(joint, ()):
+        yield from _hierarchy(child, bones, joint)
+    if joint not in bones.children:
+        yield from ("End Site", "{", _offset(bones.ends[joint]), "}")
     yield "}"
 
 
@@ -79,11 +100,11 @@ def _offset(step: Sequence[float] | np.ndarray) -> str:
 
 
 def _order(joint: int) -> str:
-    return ORDERS[JOINT_NAMES[joint].partition("_")[2] in LEGS]
+    return ORDERS[joint < JOINTS and JOINT_NAMES[joint].partition("_")[2] in LEGS]
 
 
 def _angles(rotations: np.ndarray) -> np.ndarray:
-    """Quaternions [F,24,4] w x y z as angles [F,24,3] in degrees, in each joint's order, those of a joint near those before.
+    """Quaternions [F,J,4] w x y z as angles [F,J,3] in degrees, in each joint's order, those of a joint near those before.
 
     Of two triples that are the same rotation the nearer one is taken, and whole turns are added.
     """

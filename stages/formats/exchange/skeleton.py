@@ -1,6 +1,6 @@
 """The skeleton in glTF: a node a joint, whose y axis runs along its bone, as programs that pose by hand expect it.
 
-Bones of clothes are joints like others, named cloth_00 on, each below the joint that carries most of it.
+Bones of clothes are joints like others, named cloth_00 on, each below the joint that carries most of it; fingers come last.
 """
 
 from __future__ import annotations
@@ -69,6 +69,8 @@ class Skeleton(NamedTuple):
         move(0, "translation", take.pelvis)
         for joint in range(JOINTS):
             turn(joint, take.rotations[:, joint])
+        for bone in range(0 if take.fingers is None else len(FINGER_NAMES)):
+            turn(len(self.names) - len(FINGER_NAMES) + bone, np.asarray(take.fingers)[:, bone])
         for k in range(0 if take.clothes is None else take.clothes.shape[1]):
             moved, joint = np.asarray(take.clothes)[:, k], JOINTS + k
             turn(joint, moved[:, :4])
@@ -77,27 +79,26 @@ class Skeleton(NamedTuple):
 
 
 def skeleton_of(rig: Rig, names: Names = "smpl") -> Skeleton:
-    """The joints of a rig and the bones of its clothes."""
-    places, parents, called = rig.joints.astype(float), np.asarray(rig.parents), bone_names(names)
+    """The joints of a rig, the bones of its clothes and, if it has some, its finger bones."""
+    fingers = rig.finger_joints is not None
+    places, parents, called = rig.joints.astype(float), np.asarray(rig.parents), bone_names(names, fingers)
     if rig.clothes is not None:
         places = np.concatenate([places, rig.clothes.centres])
         parents = np.concatenate([parents, rig.clothes.hang_on])
         called = (*called, *(f"cloth_{k:02d}" for k in range(len(rig.clothes))))
-    return Skeleton(called, parents, places, np.stack([_axes(along) for along in _along(places, parents)]))
+    bare = Skeleton(called, parents, places, np.stack([_axes(along) for along in _along(places, parents)]))
+    return bare if rig.finger_joints is None else _fingered(bare, rig.finger_joints, finger_names(names))
 
 
-def fingered(rig: Rig, names: Names = "smpl") -> Skeleton:
-    """The same with the finger bones of a rig, if it has some, after the bones of clothes: for meshes, which hang on them."""
-    bare = skeleton_of(rig, names)
-    if rig.finger_joints is None:
-        return bare
-    joints, tips = np.split(rig.finger_joints, [len(FINGER_NAMES)])
+def _fingered(bare: Skeleton, finger_joints: np.ndarray, names: tuple[str, ...]) -> Skeleton:
+    """A skeleton with finger bones of those `names`, from joints and tips [40,3] m."""
+    joints, tips = np.split(finger_joints, [len(FINGER_NAMES)])
     chains = np.concatenate([joints.reshape(10, 3, 3), tips[:, None]], 1)
     ways = np.diff(chains, axis=1).reshape(-1, 3)
     first, hands = len(bare.names), [JOINT_NAMES.index(f"{side}_hand") for side in ("left", "right")]
     parents = [hands[bone // 15] if bone % 3 == 0 else first + bone - 1 for bone in range(len(FINGER_NAMES))]
     return Skeleton(
-        (*bone_names(names, True), *bare.names[JOINTS:], *finger_names(names)),
+        (*bare.names, *names),
         np.concatenate([bare.parents, parents]),
         np.concatenate([bare.places, joints]),
         np.concatenate([bare.turns, np.stack([_axes(way / np.linalg.norm(way)) for way in ways])]),

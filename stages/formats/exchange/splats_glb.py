@@ -3,7 +3,7 @@
 https://github.com/KhronosGroup/glTF, extensions/2.0/Khronos. Programs that know no Gaussians show points: their colour has the
 opacity for its alpha, and `_SCALE` is kept by Blender for geometry nodes. One such name only: the importer of Blender 5.0 mixes
 several up, in an order that changes from start to start. y is up, metres, the T-pose, as in avatar.glb. How clothes swing is
-kept for hugs.
+kept for hugs, and so is how hands rest.
 """
 
 from __future__ import annotations
@@ -20,11 +20,13 @@ from stages.formats.exchange.bone_names import Names
 from stages.formats.exchange.glb import HINT, VERTICES, Arrays, Glb, write_glb
 from stages.formats.exchange.skeleton import skeleton_of
 from stages.formats.splats import gathered
-from stages.records import JOINTS, SH_C0, Avatar, Rig, Scene, Take
+from stages.gestures import FINGER_NAMES
+from stages.records import JOINT_NAMES, JOINTS, SH_C0, Avatar, Rig, Scene, Take
 
 SPLATS = "KHR_gaussian_splatting"
 FORMAT = 1  # of what stands under "hugs" in the file
 POINTS = 0  # glTF's mode
+HANDS = [JOINT_NAMES.index(f"{side}_hand") for side in ("left", "right")]
 
 
 def write_splats_glb(path: Path, rig: Rig, takes: Sequence[Take], names: Names = "smpl", floor: float = 0.0) -> None:
@@ -32,7 +34,7 @@ def write_splats_glb(path: Path, rig: Rig, takes: Sequence[Take], names: Names =
     rig."""
     arrays, content, skeleton = Arrays(), start("avatar"), skeleton_of(rig, names)
     hugs = {"format": FORMAT, "betas": rig.betas.tolist(), "antialias": rig.antialias}
-    content |= {"extensionsUsed": [SPLATS], "extras": {"hugs": hugs | _clothes(rig)}}
+    content |= {"extensionsUsed": [SPLATS], "extras": {"hugs": hugs | _clothes(rig) | _fingers(rig)}}
     stand = {"name": "stand", "translation": [0.0, -floor, 0.0]}
     first = add_figure(content, arrays, "gaussians", skeleton, points(rig, arrays, _weights(rig, arrays)), stand)
     add_motions(content, arrays, skeleton, takes, first)
@@ -44,6 +46,13 @@ def _clothes(rig: Rig) -> dict[str, Any]:
     if rig.clothes is None:
         return {}
     return {"clothes": {name: np.asarray(values).tolist() for name, values in vars(rig.clothes).items()}}
+
+
+def _fingers(rig: Rig) -> dict[str, Any]:
+    """Joints, tips and shape of fingers as lists; nothing without them. Their weights are the file's own."""
+    if rig.fingers is None:
+        return {}
+    return {"fingers": {name: np.asarray(getattr(rig.fingers, name)).tolist() for name in ("joints", "tips", "shape")}}
 
 
 def points(splats: Scene, arrays: Arrays, weights: dict[str, int]) -> dict[str, Any]:
@@ -117,13 +126,20 @@ def _avatar(glb: Glb, marks: dict[str, Any]) -> Avatar:
     means = column("POSITION", 3)
     n = len(means)
     lists = {f"clothes_{name}": np.asarray(values, np.float32) for name, values in marks.get("clothes", {}).items()}
-    bones = JOINTS + len(lists.get("clothes_centres", ()))
+    own = JOINTS + len(lists.get("clothes_centres", ()))
+    fingers = {f"fingers_{name}": np.asarray(values, np.float32) for name, values in marks.get("fingers", {}).items()}
+    bones = own + (len(FINGER_NAMES) if fingers else 0)
     glb.budget.spend(4 * n * bones, f"weights of {n} Gaussians for {bones} bones")
     weights = np.zeros((n, bones), np.float32)
     for part in range(2):
         moved, words = column(f"JOINTS_{part}", 4, "u1"), column(f"WEIGHTS_{part}", 4, "<u2")
         for i in range(4):
             weights[np.arange(n), moved[:, i]] += words[:, i] / np.float32(65535)
+    weights, shares = np.split(weights, [own], 1)
+    if fingers:
+        weights[:, HANDS] += shares.reshape(n, 2, -1).sum(2)
+        rows = np.flatnonzero(shares.any(1))
+        fingers |= {"fingers_rows": rows, "fingers_shares": shares[rows]}
     higher = [f"{SPLATS}:SH_DEGREE_{d}_COEF_{i}" for d in (1, 2, 3) for i in range(2 * d + 1)]
     rest = [column(name, 3) for name in higher if name in attributes]
     skin = glb.content["skins"][0]
@@ -148,4 +164,4 @@ def _avatar(glb: Glb, marks: dict[str, Any]) -> Avatar:
         "canonical_pose": np.zeros(3 * (JOINTS - 1), np.float32),
         "antialias": np.asarray(bool(marks["antialias"])),
     }
-    return gathered(Avatar, arrays | lists, glb.path.name, HINT)
+    return gathered(Avatar, arrays | lists | fingers, glb.path.name, HINT)

@@ -49,6 +49,10 @@ def test_the_clips_own_motion_has_the_films_rate_and_both_ends(soles):
     np.testing.assert_allclose(placed.body_pose[::3], body.body_pose[:EMPTY], atol=1e-9)
     half = from_clip(body, times, ground, Manner(30.0, 0.5), soles)
     assert len(half.transl) == 6 * (EMPTY - 1) + 1 and np.abs(low(half, soles)).max() < 0.02
+    hands = np.random.default_rng(0).normal(0, 0.3, (FRAMES, 2, 15, 3))
+    bent = from_clip(replace(body, hands=hands), times, ground, Manner(30.0), soles)
+    np.testing.assert_allclose(bent.hands[::3], hands[:EMPTY], atol=1e-9)
+    assert placed.hands is None
 
 
 def test_a_jump_stays_a_jump_however_slowly_it_is_shown(soles, tmp_path):

@@ -1,5 +1,7 @@
 """Motions in the world of a clip: where the person stands in them, and how fast they go."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -45,3 +47,4 @@ def test_the_clip_goes_at_its_mean_rate(times, fps):
     assert move.fps == pytest.approx(fps)
     np.testing.assert_array_equal(move.rotvecs, np.concatenate([body.global_orient, body.body_pose], 1))
     np.testing.assert_array_equal(move.steps, body.transl)
+    assert move.hands is None and clip_move(replace(body, hands=body.transl), np.array(times)).hands is body.transl

@@ -10,21 +10,28 @@ from typing import get_args
 
 import numpy as np
 import pytest
+import torch
 from scipy.spatial.transform import Rotation
 
+from stages.avatar.body.fingers import finger_bones
+from stages.avatar.drawing.attach import attach
+from stages.avatar.drawing.avatar import load_avatar
 from stages.avatar.drawing.rig import rig_of
+from stages.avatar.drawing.takes import hung
 from stages.avatar.motion.placing import Soles
 from stages.avatar.motion.takes import made_takes
 from stages.filming.motions import Manner, from_file
 from stages.formats.body_model import read_body_model
 from stages.formats.exchange.bone_names import Names, bone_names
 from stages.formats.exchange.motion_bvh import write_motion_bvh
+from stages.formats.hands_face import read_hands_face
 from stages.formats.motions.bvh import read_bvh
 from stages.records import JOINT_NAMES, Take
 from tests.made.tiny import make_avatar
 
 FLOOR = -1.1
-RIG = rig_of(make_avatar(read_body_model()))
+MODEL = read_body_model()
+RIG = rig_of(make_avatar(MODEL))
 PARENTS = RIG.parents.tolist()
 
 
@@ -64,7 +71,7 @@ def read_back(path, names="smpl"):
 @pytest.mark.parametrize("names", get_args(Names))
 def test_joints_come_back_to_a_tenth_of_a_degree_and_a_millimetre(tmp_path, names):
     take = tumbling()
-    write_motion_bvh(tmp_path / "a.bvh", RIG.joints, PARENTS, take, names, FLOOR)
+    write_motion_bvh(tmp_path / "a.bvh", RIG, take, names, FLOOR)
     (at, turns), (there, found) = where(take), read_back(tmp_path / "a.bvh", names)
     assert np.abs(there - at + [0, FLOOR, 0]).max() < 1e-3, "m, and the floor is at 0"
     away = Rotation.from_matrix((turns.mT @ found).reshape(-1, 3, 3)).magnitude()
@@ -76,7 +83,7 @@ def test_joints_come_back_to_a_tenth_of_a_degree_and_a_millimetre(tmp_path, name
 @pytest.mark.parametrize("motion", [0, 3])
 def test_we_animate_with_it_as_with_the_take(tmp_path, names, motion):
     take, soles = made_takes(RIG.joints[0])[motion], Soles.of_rig(RIG)
-    write_motion_bvh(tmp_path / "a.bvh", RIG.joints, PARENTS, take, names, soles.floor)
+    write_motion_bvh(tmp_path / "a.bvh", RIG, take, names, soles.floor)
     placed, said = from_file(tmp_path / "a.bvh", Manner(30.0), soles, PARENTS)
     turns = Rotation.from_rotvec(np.concatenate([placed.global_orient, placed.body_pose], 1).reshape(-1, 3))
     away = turns.inv() * Rotation.from_quat(take.rotations.reshape(-1, 4), scalar_first=True)
@@ -84,6 +91,29 @@ def test_we_animate_with_it_as_with_the_take(tmp_path, names, motion):
     assert np.degrees(away.magnitude().max()) < 0.1, f"{np.degrees(away.magnitude().reshape(-1, 24).max(0))}"
     steps = placed.transl - placed.transl[0] - take.pelvis + take.pelvis[0]
     assert np.abs(steps[:, [0, 2]]).max() < 1e-3
+
+
+@pytest.mark.parametrize("names", get_args(Names))
+def test_we_bend_fingers_with_it_as_with_the_take(tmp_path, names):
+    rng, poses = np.random.default_rng(0), 12
+    avatar = attach(make_avatar(MODEL, every=5), MODEL, read_hands_face(MODEL), rng.normal(0, 0.2, (2, 15, 3)))
+    hands = rng.normal(0, 0.4, (poses, 2, 15, 3))
+    baked, rig = load_avatar(avatar), rig_of(avatar)
+    take = hung(baked, replace(tumbling(poses), hands=hands, rotations=made_takes(rig.joints[0])[3].rotations[:poses]))
+    write_motion_bvh(tmp_path / "a.bvh", rig, take, names)
+    placed, said = from_file(tmp_path / "a.bvh", Manner(25.0), Soles.of_rig(rig), PARENTS, fingers=avatar.fingers)
+    assert "30 finger bones" in said
+    found, ours = (ends(avatar.fingers, turns) for turns in (placed.hands, hands))
+    assert np.abs(found - ours).max() < 1e-3, "m: bones may twist otherwise"
+
+
+def ends(fingers, turns):
+    """Where finger bones begin and fingers end [F,40,3] m, of hands at rest."""
+    joints = torch.as_tensor(fingers.joints).double()
+    bones = finger_bones(joints, torch.as_tensor(turns).double(), torch.eye(4).double().expand(len(turns), 24, 4, 4))
+    points = torch.cat([joints, torch.as_tensor(fingers.tips).double()])
+    bones = torch.cat([bones, bones[:, 2::3]], 1)
+    return ((bones[..., :3, :3] @ points[..., None])[..., 0] + bones[..., :3, 3]).numpy()
 
 
 def test_angles_do_not_jump_where_nothing_does(tmp_path):
@@ -94,7 +124,7 @@ def test_angles_do_not_jump_where_nothing_does(tmp_path):
     shoulder, bend = JOINT_NAMES.index("left_shoulder"), np.linspace(0, 150, 100)
     for joint, axis, turn in ((0, "y", 8 * bend), (knee, "x", bend), (elbow, "y", -bend), (shoulder, "z", -bend)):
         take.rotations[:, joint] = Rotation.from_euler(axis, turn[:, None], degrees=True).as_quat(scalar_first=True)
-    write_motion_bvh(tmp_path / "a.bvh", RIG.joints, PARENTS, take)
+    write_motion_bvh(tmp_path / "a.bvh", RIG, take)
     rows = (tmp_path / "a.bvh").read_text().partition("Frame Time:")[2].splitlines()[1:]
     angles = np.array([row.split() for row in rows], float)[:, 3:]
     assert np.abs(np.diff(angles, axis=0)).max() < 13 and np.ptp(angles, axis=0).max() == pytest.approx(1200)
@@ -102,14 +132,14 @@ def test_angles_do_not_jump_where_nothing_does(tmp_path):
 
 def test_one_pose_is_a_motion_of_a_second_and_two_last_as_long_as_they_do(tmp_path):
     take = tumbling(1)
-    write_motion_bvh(tmp_path / "a.bvh", RIG.joints, PARENTS, replace(take, times=np.zeros(1)))
+    write_motion_bvh(tmp_path / "a.bvh", RIG, replace(take, times=np.zeros(1)))
     assert len(read_bvh(tmp_path / "a.bvh")) == 1 and read_bvh(tmp_path / "a.bvh").fps == 1
-    write_motion_bvh(tmp_path / "a.bvh", RIG.joints, PARENTS, replace(tumbling(2), times=np.array([0, 0.25])))
+    write_motion_bvh(tmp_path / "a.bvh", RIG, replace(tumbling(2), times=np.array([0, 0.25])))
     assert len(read_bvh(tmp_path / "a.bvh")) == 2 and read_bvh(tmp_path / "a.bvh").fps == 4
 
 
 def test_bones_without_a_child_end_above_the_head_ahead_of_the_toes_and_beyond_the_hands(tmp_path):
-    write_motion_bvh(tmp_path / "a.bvh", RIG.joints, PARENTS, tumbling(1))
+    write_motion_bvh(tmp_path / "a.bvh", RIG, tumbling(1))
     found = re.findall(
         r"JOINT (\w+)\s+\{\s+OFFSET.*\s+CHANNELS.*\s+End Site\s+\{\s+OFFSET (.*)", (tmp_path / "a.bvh").read_text()
     )
@@ -131,7 +161,7 @@ def test_blender_moves_the_bones_as_we_do(tmp_path):
     if not python:
         pytest.skip("HUGS_BLENDER_PYTHON names no Python with bpy")
     take = tumbling()
-    write_motion_bvh(tmp_path / "a.bvh", RIG.joints, PARENTS, take, floor=FLOOR)
+    write_motion_bvh(tmp_path / "a.bvh", RIG, take, floor=FLOOR)
     script = Path(__file__).parents[3] / "tools" / "bvh_in_blender.py"
     plain = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     command = [python, str(script), str(tmp_path / "a.bvh")]

@@ -9,7 +9,8 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from stages.avatar.drawing.avatar import bones_of, load_avatar, pose_avatar
+from stages.avatar.drawing.attach import attach
+from stages.avatar.drawing.avatar import PosedAvatar, bones_of, load_avatar, pose_avatar
 from stages.avatar.drawing.rig import rig_of
 from stages.avatar.drawing.takes import _poses, hung
 from stages.avatar.motion.takes import made_takes
@@ -19,6 +20,7 @@ from stages.formats.exchange.avatar_glb import write_avatar_glb
 from stages.formats.exchange.bone_names import bone_names
 from stages.formats.exchange.glb import Arrays, Glb, write_glb
 from stages.formats.exchange.splats_glb import SPLATS, _linear, read_avatar_glb, write_splats_glb
+from stages.formats.hands_face import read_hands_face
 from tests.made.clothes import dress, some_clothes
 from tests.made.gltf import array, skinned, world_of
 from tests.made.meshes import body_mesh
@@ -101,6 +103,30 @@ def test_bones_of_clothes_are_joints_that_motions_swing_and_hugs_reads_them_back
         np.testing.assert_allclose(getattr(back.clothes, name), values, rtol=1e-6)
     both = [pose_avatar(one, *poses[pose]).means for one in (baked, load_avatar(back))]
     assert (both[0] - both[1]).norm(dim=1).median() < 0.005, "up to bones beyond eight"
+
+
+@pytest.fixture(scope="module")
+def bent():
+    """An avatar with fingers, which lie bent, and a take that moves them."""
+    rng = np.random.default_rng(0)
+    avatar = attach(make_avatar(MODEL, every=5), MODEL, read_hands_face(MODEL), rng.normal(0, 0.2, (2, 15, 3)))
+    take = made_takes(avatar.joints[0])[0]
+    return avatar, hung(load_avatar(avatar), replace(take, hands=rng.normal(0, 0.4, (len(take), 2, 15, 3))))
+
+
+def test_fingers_are_joints_that_motions_bend_as_we_do_and_hugs_reads_them_back(bent, tmp_path):
+    avatar, take = bent
+    write_splats_glb(tmp_path / "a.glb", rig_of(avatar), [take])
+    back, pose = read_avatar_glb(tmp_path / "a.glb"), 25
+    there = []
+    for one in (avatar, back):
+        baked = load_avatar(one)
+        moved = [part[pose] for part in _poses(baked, take)]
+        there.append(PosedAvatar.of(baked, *moved, hands=take.hands[pose][None]).splats(0).means.numpy())
+    np.testing.assert_allclose(skinned(Glb(tmp_path / "a.glb"), pose), there[0], atol=1e-4)
+    np.testing.assert_allclose(there[1], there[0], atol=1e-4)
+    np.testing.assert_array_equal(back.fingers.rows, avatar.fingers.rows)
+    np.testing.assert_allclose(back.lbs_weights.sum(1), 1, atol=1e-6)
 
 
 def test_colours_are_linear(avatar, file):
