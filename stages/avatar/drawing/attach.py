@@ -18,6 +18,7 @@ from stages.avatar.splats.neighbours import mean_near, nearest, shares_near
 
 HELD = 0.02  # of a Gaussian's weights: less than that on a hand's joints is none of a finger's
 NEAR = 6  # points of skin, or of the face, whose mean move a Gaussian follows
+LEAST = 0.01  # of a Gaussian's weights: what a finger bone takes less of stays with the hand
 OTHER = 0.05  # of a point's weight: more than that on another finger
 FACE = (0.015, 0.035)  # m from the face between which Gaussians move less and less: hair does not smile
 STILL = 5e-4  # m: a Gaussian that no shape moves further is left out
@@ -62,6 +63,7 @@ def _fingers(
     found = torch.einsum("nk,nkb->nb", part, own[near]).unflatten(1, (2, 15))
     there = weights[rows][:, list(HANDS)]
     shares = (found / hand.clamp_min(1e-6)[..., None] * there[..., None]).flatten(1)
+    shares = torch.where(shares > LEAST, shares, 0)
     kept = shares.amax(1) > 0
     return rows[kept].int(), shares[kept]
 

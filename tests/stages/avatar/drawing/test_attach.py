@@ -53,10 +53,10 @@ def test_an_index_finger_moves_its_gaussians_and_no_others(record):
     own = np.zeros(len(record), bool)
     own[record.fingers.rows] = record.fingers.shares[:, INDEX].any(1)
     weights = read_hands_face(BODY).finger_weights[::3]
-    truth = weights[:, INDEX].any(1)
-    assert own[truth].all() and 15 < truth.sum() < own.sum() < 2 * truth.sum()
+    truth = weights[:, INDEX].max(1) > 0.1
+    assert own[truth].all() and 15 < truth.sum() <= own.sum() < 2 * truth.sum()
     assert moved[own].max() > 0.04 and moved[~own].max() < 2e-6
-    beside = np.flatnonzero((weights.sum(1) > 0.5) & ~truth)
+    beside = np.flatnonzero((weights.sum(1) > 0.5) & ~weights[:, INDEX].any(1))
     assert moved[beside].max() < 0.002, "what is another finger's hardly goes along"
 
 
