@@ -62,7 +62,9 @@ def write_motion_bvh(path: Path, rig: Rig, take: Take, names: Names = "smpl", fl
 
 def _bones(rig: Rig, names: Names, fingers: bool) -> _Bones:
     skeleton = skeleton_of(replace(rig, clothes=None, finger_joints=rig.finger_joints if fingers else None), names)
-    ends = {i: end for i, name in enumerate(JOINT_NAMES) if (end := ENDS.get(name) or ENDS.get(name.partition("_")[2]))}
+    ends: dict[int, tuple[float, ...]] = {
+        i: end for i, name in enumerate(JOINT_NAMES) if (end := ENDS.get(name) or ENDS.get(name.partition("_")[2]))
+    }
     if rig.finger_joints is not None:
         joints, tips = np.split(rig.finger_joints, [len(FINGER_NAMES)])
         ends |= {JOINTS + 3 * finger + 2: tuple(end) for finger, end in enumerate((tips - joints[2::3]).tolist())}
