@@ -1,9 +1,8 @@
-"""Cloth, and skin of fingers, that bones draw wide: its Gaussians grow with it.
+"""Cloth that bones draw wide: its Gaussians grow with it.
 
 Skinning moves the axes of a Gaussian by the blend of its bones, which leaves them as small as at rest where legs draw a
-skirt apart, or where a finger bends: one looks through between them. Places that are skinned do change by more than the
-blend, where weights change from one to the next (the gradient of sum_k w_k(x) A_k x has a term for the gradient of each
-w_k). Neighbours tell it.
+skirt apart: one looks through between them. Places that are skinned do change by more than the blend, where weights
+change from one to the next (the gradient of sum_k w_k(x) A_k x has a term for the gradient of each w_k). Neighbours tell it.
 """
 
 from __future__ import annotations
@@ -23,12 +22,11 @@ NEIGHBOURS = 6
 BELL = 1.5  # of the median distance to them: sigma of what a neighbour counts
 STIFF = 0.6  # of that distance squared: where neighbours differ by less, as across cloth, they tell little
 STEEPEST = 15.0  # shares of bones a metre: what is steeper is one piece of cloth beside another
-KNUCKLE = 120.0  # the same over a finger's joint, where skin goes from one bone to the next within a centimetre
 ZERO = np.float32(0)
 
 
 class Cloth(NamedTuple):
-    """C Gaussians of cloth, or of fingers: their `rows`, those `near` each [C,M], the last itself, and `along` [C,M,3] in 1/m.
+    """C Gaussians of cloth: their `rows`, those `near` each [C,M], the last itself, and `along` [C,M,3] in 1/m.
 
     The sum over M of f(near) x along is the gradient of f over the cloth.
     """
@@ -115,22 +113,8 @@ def _gain(axes: np.ndarray, means: np.ndarray, rows: np.ndarray, near: np.ndarra
 def cloth_of(means: Tensor, weights: Tensor, bones: int) -> Cloth | None:
     """What is cloth of Gaussians at means[N,3] m at rest with weights[N,J], of which the first `bones` are the skeleton's."""
     rows = (weights[:, bones:].sum(1) > CLOTH).nonzero()[:, 0]
-    return None if len(rows) < 2 else _sheet(means, weights, rows, STEEPEST)
-
-
-@torch.no_grad()
-def finger_skin(means: Tensor, weights: Tensor, rows: Tensor, fingers: Tensor) -> Cloth | None:
-    """What grows of the Gaussians `rows` [M] of hands, each of one of `fingers` int64 [M]: no finger draws at the one beside it.
-
-    `means` [N,3] m at rest, weights [N,J] with those of finger bones; None where no finger has Gaussians enough.
-    """
-    each = [rows[fingers == finger] for finger in fingers.unique()]
-    sheets = [_sheet(means, weights, own, KNUCKLE) for own in each if len(own) > NEIGHBOURS]
-    return Cloth(*(torch.cat(parts) for parts in zip(*sheets, strict=True))) if sheets else None
-
-
-def _sheet(means: Tensor, weights: Tensor, rows: Tensor, steepest: float) -> Cloth:
-    """Gaussians `rows` as one piece, over which weights change by at most `steepest` shares a metre."""
+    if len(rows) < 2:
+        return None
     points = means[rows]
     away, near = (found[:, 1:] for found in nearest(points, points, 1 + NEIGHBOURS))
     middle = away.to(means).median(1, keepdim=True).values.clamp_min(1e-3)
@@ -140,7 +124,7 @@ def _sheet(means: Tensor, weights: Tensor, rows: Tensor, steepest: float) -> Clo
     along = torch.linalg.solve(spread, counted.mT).mT / middle[..., None]
     cloth = Cloth(rows, torch.cat([rows[near], rows[:, None]], 1), torch.cat([along, -along.sum(1, keepdim=True)], 1))
     steepness = cloth.slopes(weights).norm(dim=2).sum(1)
-    return cloth._replace(along=cloth.along * (steepest / steepness.clamp_min(steepest))[:, None, None])
+    return cloth._replace(along=cloth.along * (STEEPEST / steepness.clamp_min(STEEPEST))[:, None, None])
 
 
 @torch.no_grad()
@@ -150,12 +134,3 @@ def stretch_of(cloth: Cloth, means: Tensor, axes: Tensor) -> Stretch:
     shares = along @ axes[rows]
     still = means[near].mT @ shares  # what they gain where nothing has moved
     return Stretch(axes.index_add(0, rows, -still), rows, near.int(), shares.mT.contiguous())
-
-
-def stretch_too(stretch: Stretch | None, skin: Cloth, means: Tensor, axes: Tensor) -> Stretch:
-    """As `stretch_of` of `skin`, after a `stretch` of cloth, if any, which keeps the Gaussians that are of both."""
-    if stretch is None:
-        return stretch_of(skin, means, axes)
-    free = ~torch.isin(skin.rows, stretch.rows)
-    more = stretch_of(Cloth(*(part[free] for part in skin)), means, stretch.axes)
-    return Stretch(more.axes, *(torch.cat(pair) for pair in zip(stretch[1:], more[1:], strict=True)))

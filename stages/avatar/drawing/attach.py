@@ -12,14 +12,13 @@ from stages import gestures, records
 from stages.avatar.body.face import face_at
 from stages.avatar.body.fingers import bent_skin, finger_joints
 from stages.avatar.body.joints import HANDS, HEAD
+from stages.avatar.body.skinning import knn_weights
 from stages.avatar.body.smpl import Body
 from stages.avatar.drawing.avatar import load_avatar
-from stages.avatar.splats.neighbours import mean_near, nearest, shares_near
+from stages.avatar.splats.neighbours import mean_near, nearest
 
 HELD = 0.02  # of a Gaussian's weights: less than that on a hand's joints is none of a finger's
-NEAR = 6  # points of skin, or of the face, whose mean move a Gaussian follows
-LEAST = 0.01  # of a Gaussian's weights: what a finger bone takes less of stays with the hand
-OTHER = 0.05  # of a point's weight: more than that on another finger
+NEAR = 6  # points of the face whose mean move a Gaussian follows
 FACE = (0.015, 0.035)  # m from the face between which Gaussians move less and less: hair does not smile
 STILL = 5e-4  # m: a Gaussian that no shape moves further is left out
 
@@ -57,28 +56,12 @@ def _fingers(
     skin = (limbs[:, list(HANDS)].sum(1) > 0).nonzero()[:, 0]
     own, limbs, posed = own[skin], limbs[skin], bent_skin(rig, vertices, shape)[skin]
     rows = (weights[:, list(HANDS)].sum(1) > HELD).nonzero()[:, 0]
-    near, part = shares_near(posed, means[rows], NEAR)
-    part = part * _one_finger(own[near].unflatten(2, (-1, 3)).sum(3))
-    hand = torch.einsum("nk,nkh->nh", part, limbs[:, list(HANDS)][near])
-    found = torch.einsum("nk,nkb->nb", part, own[near]).unflatten(1, (2, 15))
+    near = knn_weights(means[rows], posed, torch.cat([limbs, own], 1), NEAR)
+    hand, found = near[:, list(HANDS)], near[:, limbs.shape[1] :].unflatten(1, (2, 15))
     there = weights[rows][:, list(HANDS)]
     shares = (found / hand.clamp_min(1e-6)[..., None] * there[..., None]).flatten(1)
-    shares = torch.where(shares > LEAST, shares, 0)
     kept = shares.amax(1) > 0
     return rows[kept].int(), shares[kept]
-
-
-def _one_finger(fingers: Tensor) -> Tensor:
-    """Which of k points [N,k] around a Gaussian, the nearest first, are of the finger that it is of, from their weights [N,k,10]:
-    the nearest, and what hardly goes with another finger than the first point with one does. So weights change smoothly along a
-    finger, and none goes with the finger beside it.
-    """
-    first = (fingers.sum(2) > 0).float().argmax(1, keepdim=True)
-    own = fingers.take_along_dim(first[..., None], 1).argmax(2, keepdim=True)
-    other = fingers.sum(2) - fingers.take_along_dim(own, 2)[..., 0]
-    kept = other < OTHER
-    kept[:, 0] = True
-    return kept
 
 
 def _face(rig: gestures.HandsFace, points: Tensor, means: Tensor, weights: Tensor) -> gestures.Face:

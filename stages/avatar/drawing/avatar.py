@@ -18,7 +18,7 @@ from stages.avatar.body.joints import HANDS
 from stages.avatar.body.rotations import matrix_from_quat, matrix_from_rotvec
 from stages.avatar.body.skinning import FewBones, without_zeros
 from stages.avatar.body.smpl import rest_relative_transforms
-from stages.avatar.body.stretch import Stretch, cloth_of, finger_skin, gain_reference, stretch_of, stretch_too
+from stages.avatar.body.stretch import Stretch, cloth_of, gain_reference, stretch_of
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.shadow import Casters
 from stages.avatar.model.person import Canonical, Resting, bone_transforms, pose, rest
@@ -110,7 +110,7 @@ def load_avatar(avatar: records.Avatar, device: str | torch.device = "cpu") -> B
 
 
 def gloved(avatar: Baked) -> Baked:
-    """The avatar with weights for its finger bones, the last of all, and skin that grows as they bend; ValueError without any."""
+    """The avatar with weights for its finger bones, the last of all; ValueError where it has none."""
     if avatar.gloves is None:
         raise ValueError("the avatar has no fingers")
     own, shares = avatar.resting.weights, avatar.gloves.shares
@@ -120,11 +120,7 @@ def gloved(avatar: Baked) -> Baked:
     left = hands[:, list(HANDS)] - shares.unflatten(1, (2, -1)).sum(2)
     hands[:, list(HANDS)] = left.clamp_min(0)  # a file rounds shares
     weights[avatar.gloves.rows] = hands / hands.sum(1, keepdim=True)
-    resting, stretch = avatar.resting._replace(weights=weights), avatar.stretch
-    skin = finger_skin(resting.means, weights, avatar.gloves.rows, shares.unflatten(1, (-1, 3)).sum(2).argmax(1))
-    if skin is not None:
-        stretch = stretch_too(stretch, skin, resting.means, resting.axes)
-    return avatar._replace(resting=resting, few=without_zeros(weights), stretch=stretch)
+    return avatar._replace(resting=avatar.resting._replace(weights=weights), few=without_zeros(weights))
 
 
 def rested(avatar: Baked, resting: Resting) -> Baked:

@@ -52,24 +52,10 @@ def test_an_index_finger_moves_its_gaussians_and_no_others(record):
     moved = (posed.splats(0).means - pose_avatar(load_avatar(record), *pose()).means).norm(dim=1).numpy()
     own = np.zeros(len(record), bool)
     own[record.fingers.rows] = record.fingers.shares[:, INDEX].any(1)
-    weights = read_hands_face(BODY).finger_weights[::3]
-    truth = weights[:, INDEX].max(1) > 0.1
-    assert own[truth].all() and 15 < truth.sum() <= own.sum() < 2 * truth.sum()
+    rig = read_hands_face(BODY)
+    truth = rig.finger_weights[::3, INDEX].any(1)
+    assert np.array_equal(own, truth) and own.sum() > 15
     assert moved[own].max() > 0.04 and moved[~own].max() < 2e-6
-    beside = np.flatnonzero((weights.sum(1) > 0.5) & ~weights[:, INDEX].any(1))
-    assert moved[beside].max() < 0.002, "what is another finger's hardly goes along"
-
-
-def test_skin_over_a_knuckle_that_bends_grows_and_that_of_the_finger_beside_does_not(record):
-    avatar, hands = gloved(load_avatar(record)), torch.zeros(2, 15, 3)
-    hands[0, INDEX[1], 2] = -1.2
-    bones, none = bones_of(avatar, torch.zeros(3), torch.zeros(69), hands), torch.zeros(3)
-    grown, plain = (posed_by(one, bones, none).axes for one in (avatar, avatar._replace(stretch=None)))
-    more = ((grown - plain).norm(dim=(1, 2)) / plain.norm(dim=(1, 2)))[torch.as_tensor(record.fingers.rows).long()]
-    shares = torch.as_tensor(record.fingers.shares)
-    assert more[shares[:, INDEX[:2]].amin(1) > 0.2].min() > 0.1 and more.max() > 0.3
-    middle = [FINGER_NAMES.index(f"left_middle{part}") for part in (2, 3)]
-    assert more[shares[:, middle].sum(1) > 0.5].max() < 1e-3
 
 
 def test_hands_that_were_bent_in_the_clip_lie_on_bent_fingers(bare):
