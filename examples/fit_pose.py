@@ -3,12 +3,12 @@
 python examples/fit_pose.py work/dance/default found.png
 
 The middle frame of the clip is drawn, its pose is turned by 20 degrees in each big joint, and the true one is found again from the
-picture alone: a picture is differentiable in the pose.
+picture alone: a picture is differentiable in the pose. Gradients go down to the nearest minimum, from a coarse picture to a fine
+one; so that a limb is not left in a wrong one, each is also tried from elsewhere.
 """
 
 import sys
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -26,66 +26,108 @@ CHAINS = [
 NEXT = {joint: below for chain in CHAINS for joint, below in zip(chain, chain[1:])}
 BIG = list(NEXT)
 ROWS = [hugs.JOINT_NAMES.index(name) - 1 for name in BIG]  # their rows in body_pose [23,3]
-STAGES = ((2, (1, 5), 80), (2, (1,), 120))
-"""How much smaller the picture is, px of the blurs in which it is compared, and steps: the blurred leads limbs from afar."""
+LIMBS = torch.arange(3 * len(BIG)).reshape(len(CHAINS), -1)  # which of the numbers that are looked for turn a limb
+COARSE = ((4, 0.02, 10), (3, 0.01, 10))
+FINE = ((2, 0.005, 10), (1, 0.002, 10), (1, 0.0002, 20), (1, 0.0002, 20))
+"""How often the picture is halved, how strongly the start is held, and steps: a coarse picture leads limbs from afar."""
 REACH = np.radians(30)
 """How far a joint may go from the start: a left leg that looks like the right one is not taken for it."""
 
+Misses = Callable[[Tensor, int, float], Tensor]
+
 
 def fit(
-    avatar: hugs.Avatar,
-    picture: Tensor,
-    behind: Tensor,
-    camera: hugs.Camera,
-    start: hugs.Pose,
-    stages: Sequence[tuple[int, Sequence[int], int]] = STAGES,
+    avatar: hugs.Avatar, picture: Tensor, behind: Tensor, camera: hugs.Camera, start: hugs.Pose, tries: int = 64
 ) -> np.ndarray:
-    """The body pose [23,3] rad of a `picture` [H,W,3] of the person before what is `behind` them [H,W,3], from about `start`."""
+    """The body pose [23,3] rad of a `picture` [H,W,3] of the person before what is `behind` them [H,W,3], from about `start`.
+
+    Each limb is tried from `tries` other places. The pictures are as large as the camera's: one drawn smaller is not the same
+    picture made smaller, and its best pose is another one.
+    """
     pose, rows = torch.as_tensor(start.body_pose).float().reshape(23, 3), torch.tensor(ROWS)
-    free = torch.zeros(len(ROWS), 3, requires_grad=True)  # what is looked for, of any length
+    near, part = around(avatar.pose(pose, start.global_orient, start.transl), camera)
+    picture, behind = picture[part], behind[part]
 
-    def turned_by() -> Tensor:
-        way = free / (1 + free.square().sum(1, keepdim=True)).sqrt()  # shorter than 1
-        return pose.index_add(0, rows, REACH * way)
+    def turned_by(free: Tensor) -> Tensor:  # free [P,24], of any length
+        turns = free.reshape(-1, len(ROWS), 3)
+        turns = REACH * turns / (1 + turns.square().sum(2, keepdim=True)).sqrt()
+        return pose.repeat(len(free), 1, 1).index_add(1, rows, turns)
 
-    def apart_from_picture(by: int, blurs: Sequence[int]) -> Tensor:
-        person = avatar.pose(turned_by(), start.global_orient, start.transl)
-        image, alpha, _ = hugs.draw(person, smaller(camera, by))
-        off = image + (1 - alpha)[..., None] * shrunk(behind, by) - shrunk(picture, by)
-        seen = [blur * blurred(off, blur).square().mean() for blur in blurs]
-        return 1e4 * torch.stack(seen).sum() + 0.02 * free.square().sum()  # what nothing shows stays as it was
+    def misses(free: Tensor, halvings: int, hold: float) -> Tensor:  # [P,M]
+        image, alpha, _ = hugs.draw(avatar.pose(turned_by(free), start.global_orient, start.transl), near)
+        seen = halved((image + (1 - alpha)[..., None] * behind - picture).movedim(-1, 1), halvings)
+        return torch.cat([*seen, hold * REACH * picture.numel() ** 0.5 * free], 1)  # what nothing shows stays as it was
 
-    for by, blurs, steps in stages:
-        optimizer = torch.optim.LBFGS([free], max_iter=steps, history_size=20, line_search_fn="strong_wolfe")
-        loss = partial(apart_from_picture, by, blurs)
-        optimizer.step(partial(with_gradient, free, loss))  # type: ignore[no-untyped-call]
-    return turned_by().detach().numpy()
-
-
-def with_gradient(free: Tensor, loss: Callable[[], Tensor]) -> float:
-    """The loss, whose gradient is in `free` then."""
-    free.grad, value = None, loss()
-    value.backward()  # type: ignore[no-untyped-call]
-    return float(value.detach())
+    free = torch.zeros(LIMBS.numel())
+    for stage in COARSE:
+        free = lower(misses, free, LIMBS.flatten(), *stage)
+    rng = torch.Generator().manual_seed(0)
+    for limb in LIMBS:
+        free = tried(misses, free, limb, 0.5 * torch.randn(tries, len(limb), generator=rng), *FINE[0])
+    for stage in FINE:
+        free = lower(misses, free, LIMBS.flatten(), *stage)
+    return turned_by(free[None])[0].numpy()
 
 
-def smaller(camera: hugs.Camera, by: int) -> hugs.Camera:
-    """The camera of a picture that is smaller by so much."""
-    K = camera.K / torch.tensor([[by], [by], [1.0]])
-    return hugs.Camera(camera.viewmat, K, camera.width // by, camera.height // by)
+def tried(misses: Misses, free: Tensor, limb: Tensor, others: Tensor, halvings: int, hold: float, steps: int) -> Tensor:
+    """`free` [24] with the best of a limb: from where it is, and from the best four of the `others`, a few steps each."""
+    places = free.repeat(len(others), 1).index_copy(1, limb, others)
+    with torch.no_grad():
+        good = misses(places, halvings, hold).square().sum(1).argsort()[:4]
+        ends = torch.stack([lower(misses, place, limb, halvings, hold, 6) for place in (free, *places[good])])
+        return ends[misses(ends, halvings, hold).square().sum(1).argmin()]
 
 
-def shrunk(image: Tensor, by: int) -> Tensor:
-    """A picture [H,W,3] that is smaller by so much."""
-    return avg_pool2d(image.movedim(-1, 0), by).movedim(0, -1)
+@torch.enable_grad()
+def lower(misses: Misses, free: Tensor, which: Tensor, halvings: int, hold: float, steps: int) -> Tensor:
+    """`free` [24] after some steps of L-BFGS on `which` of its numbers, along axes in which the squared misses curve alike.
+
+    The curvature is Gauss's and Newton's, by finite differences; the gradients come through the picture.
+    """
+    nudge, count = 0.003, len(which)
+    with torch.no_grad():
+        here = misses(free[None], halvings, hold)[0]
+        slopes = (
+            misses(free.repeat(count, 1).index_add(1, which, nudge * torch.eye(count)), halvings, hold) - here
+        ) / nudge
+    curves = (slopes @ slopes.T).double()
+    curves += torch.diag(1e-3 * curves.diagonal() + 1e-6 * curves.trace())
+    axes = here.norm() * torch.linalg.inv(torch.linalg.cholesky(curves)).T.float()
+    along = torch.zeros(count, requires_grad=True)
+    optimizer = torch.optim.LBFGS([along], max_iter=steps, history_size=20, line_search_fn="strong_wolfe")
+
+    def loss() -> float:
+        optimizer.zero_grad()
+        now = free.index_add(0, which, axes @ along)
+        value = misses(now[None], halvings, hold).square().sum() / here.square().sum()
+        value.backward()  # type: ignore[no-untyped-call]
+        return float(value.detach())
+
+    optimizer.step(loss)  # type: ignore[no-untyped-call]
+    return free.index_add(0, which, axes @ along.detach())
 
 
-def blurred(image: Tensor, size: int) -> Tensor:
-    """A picture [H,W,3], twice averaged over squares of `size` px, as [3,H,W]."""
-    rows = image.movedim(-1, 0)
-    for _ in range(2):
-        rows = avg_pool2d(rows, size, 1, size // 2, count_include_pad=False)
-    return rows
+def halved(images: Tensor, times: int) -> list[Tensor]:
+    """Pictures [P,3,H,W] halved so often, and once less often, each smoothed and weighed as whole ones, as [P,M]."""
+    seen = []
+    for number in range(times + 1):
+        if number >= times - 1:
+            smooth = avg_pool2d(images, 3, 1, 1, count_include_pad=False) if number else images
+            seen.append(2**number * smooth.flatten(1))
+        images = avg_pool2d(images, 2, ceil_mode=True, count_include_pad=False)
+    return seen
+
+
+def around(person: hugs.Person[Tensor], camera: hugs.Camera) -> tuple[hugs.Camera, tuple[slice, slice]]:
+    """The part of a camera's picture in which the person may be, as a camera and as rows and columns."""
+    seen = (person.means @ camera.viewmat[:3, :3].T.float() + camera.viewmat[:3, 3].float()) @ camera.K.T.float()
+    places = (seen[:, :2] / seen[:, 2:]).detach()
+    low, high = places.amin(0), places.amax(0)
+    margin = 0.12 * float((high - low).max())
+    left, top = (int(max(0.0, float(side) - margin)) for side in low)
+    right, bottom = (int(min(size, float(side) + margin)) for size, side in zip((camera.width, camera.height), high))
+    K = camera.K - torch.tensor([[0, 0, left], [0, 0, top], [0, 0, 0]])
+    return hugs.Camera(camera.viewmat, K, right - left, bottom - top), (slice(top, bottom), slice(left, right))
 
 
 def drawn(avatar: hugs.Avatar, pose: hugs.Pose, camera: hugs.Camera) -> tuple[Tensor, Tensor]:
@@ -97,12 +139,12 @@ def drawn(avatar: hugs.Avatar, pose: hugs.Pose, camera: hugs.Camera) -> tuple[Te
     return image + (1 - alpha)[..., None] * behind, behind
 
 
-def turned(avatar: hugs.Avatar, pose: hugs.Pose, degrees: float) -> hugs.Pose:
+def turned(avatar: hugs.Avatar, pose: hugs.Pose, degrees: float, seed: int = 0) -> hugs.Pose:
     """The pose with each big joint turned by so much about an axis by chance across the limb that it carries."""
     turns = np.array(pose.body_pose).reshape(23, 3)
     below = np.stack([avatar.joints[hugs.JOINT_NAMES.index(NEXT[name])] for name in BIG])
     limbs = below - avatar.joints[np.add(ROWS, 1)]
-    axes = np.cross(limbs, np.random.default_rng(0).normal(size=limbs.shape))
+    axes = np.cross(limbs, np.random.default_rng(seed).normal(size=limbs.shape))
     off = Rotation.from_rotvec(np.radians(degrees) * axes / np.linalg.norm(axes, axis=1, keepdims=True))
     turns[ROWS] = (Rotation.from_rotvec(turns[ROWS]) * off).as_rotvec()
     return hugs.Pose(turns.reshape(69), pose.global_orient, pose.transl)
