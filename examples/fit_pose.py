@@ -28,6 +28,7 @@ BIG = list(NEXT)
 ROWS = [hugs.JOINT_NAMES.index(name) - 1 for name in BIG]  # their rows in body_pose [23,3]
 LIMBS = torch.arange(3 * len(BIG)).reshape(len(CHAINS), -1)  # which of the numbers that are looked for turn a limb
 COARSE = ((4, 0.02, 10), (3, 0.01, 10))
+TRIED = (2, 0.005, 6)
 FINE = ((2, 0.005, 10), (1, 0.002, 10), (1, 0.0002, 20), (1, 0.0002, 20))
 """How often the picture is halved, how strongly the start is held, and steps: a coarse picture leads limbs from afar."""
 REACH = np.radians(30)
@@ -63,26 +64,26 @@ def fit(
         free = lower(misses, free, LIMBS.flatten(), *stage)
     rng = torch.Generator().manual_seed(0)
     for limb in LIMBS:
-        free = tried(misses, free, limb, 0.5 * torch.randn(tries, len(limb), generator=rng), *FINE[0])
+        free = tried(misses, free, limb, 0.5 * torch.randn(tries, len(limb), generator=rng))
     for stage in FINE:
         free = lower(misses, free, LIMBS.flatten(), *stage)
     return turned_by(free[None])[0].numpy()
 
 
-def tried(misses: Misses, free: Tensor, limb: Tensor, others: Tensor, halvings: int, hold: float, steps: int) -> Tensor:
+def tried(misses: Misses, free: Tensor, limb: Tensor, others: Tensor) -> Tensor:
     """`free` [24] with the best of a limb: from where it is, and from the best four of the `others`, a few steps each."""
     places = free.repeat(len(others), 1).index_copy(1, limb, others)
     with torch.no_grad():
-        good = misses(places, halvings, hold).square().sum(1).argsort()[:4]
-        ends = torch.stack([lower(misses, place, limb, halvings, hold, 6) for place in (free, *places[good])])
-        return ends[misses(ends, halvings, hold).square().sum(1).argmin()]
+        good = misses(places, *TRIED[:2]).square().sum(1).argsort()[:4]
+        ends = torch.stack([lower(misses, place, limb, *TRIED) for place in (free, *places[good])])
+        return ends[misses(ends, *TRIED[:2]).square().sum(1).argmin()]
 
 
 @torch.enable_grad()
 def lower(misses: Misses, free: Tensor, which: Tensor, halvings: int, hold: float, steps: int) -> Tensor:
     """`free` [24] after some steps of L-BFGS on `which` of its numbers, along axes in which the squared misses curve alike.
 
-    The curvature is Gauss's and Newton's, by finite differences; the gradients come through the picture.
+    The curvature is that of Gauss-Newton, by finite differences; the gradients come through the picture.
     """
     nudge, count = 0.003, len(which)
     with torch.no_grad():

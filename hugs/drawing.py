@@ -31,6 +31,8 @@ class Picture(NamedTuple, Generic[Array]):
 
     `image` [H,W,3], 0 to 1, over the background; `alpha` [H,W] is how much of a pixel is covered; `depth` [H,W] m sums the depth z
     of what covers it by its share: depth / alpha is the mean.
+
+        image, alpha, depth = hugs.draw(person, camera)
     """
 
     image: Array

@@ -122,6 +122,8 @@ class Person(Gaussians[Array]):
     """A person in a pose, or in P poses at once: joints, body and Gaussians in the world, in metres. `Avatar.pose` makes one.
 
     Gaussians are moved when they are first asked for: joints alone cost no skinning. `person[i]` is the person in one of P poses.
+
+        wrist = avatar.pose(np.zeros(69)).joints[hugs.JOINT_NAMES.index("left_wrist")]
     """
 
     def __init__(self, posed: PosedAvatar, body: Body | None, betas: Tensor, batched: bool, arrays: bool):

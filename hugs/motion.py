@@ -20,6 +20,8 @@ class Pose(NamedTuple):
 
     It has what `Avatar.pose` takes, in its order: `betas` is None, `hands` [2,15,3] or [P,2,15,3] rad and `face` [52] or [P,52]
     are None where the motion has none.
+
+        person = avatar.pose(*hugs.Pose(np.zeros(69), np.zeros(3), np.array([0.0, 0.0, 1.0])))
     """
 
     body_pose: np.ndarray

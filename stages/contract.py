@@ -62,6 +62,11 @@ class StageError(Exception):
 
     `problem` is one line: what is wrong, lower case, no full stop. `facts` are lines with numbers and names.
     `hint` names the command or the change that helps. Texts are cut at LONGEST letters: names in files may be of any length.
+
+        try:
+            avatar = hugs.load("work/dance/default")
+        except hugs.StageError as error:
+            print(error.hint)
     """
 
     def __init__(self, problem: str, hint: str = "", facts: Sequence[str] = ()):

@@ -41,6 +41,8 @@ class Result:
 
     `scene` is None where there is none; `effects` and `cameras` (SfM units) are None where none were learned. `curve` has a row
     for each measurement of accuracy, `facts` are those of train.json.
+
+        avatar, poses = result.people[0]
     """
 
     people: Sequence[tuple[Avatar, BodyPoses]]

@@ -1,8 +1,10 @@
 """The names of the package: there, typed, and imported when they are first used."""
 
 import ast
+import inspect
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import hugs
@@ -36,3 +38,12 @@ def test_each_public_name_is_there():
     assert hugs.__all__ and set(hugs.__all__) <= set(dir(hugs))
     assert all(getattr(hugs, name) is not None for name in hugs.__all__)
     assert not hasattr(hugs, "nothing")
+
+
+def test_each_public_function_and_class_has_an_example():
+    for name in hugs.__all__:
+        value = getattr(hugs, name)
+        if callable(value):
+            lines = (inspect.getdoc(value) or "").splitlines()
+            example = textwrap.dedent("\n".join(line for line in lines if line.startswith("    ")))
+            assert ast.parse(example).body, f"hugs.{name} has no example"

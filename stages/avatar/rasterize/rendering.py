@@ -49,6 +49,8 @@ class Gaussians(NamedTuple):
 class Camera(NamedTuple):
     """A pinhole camera: viewmat[4,4] camera_from_world in metres with OpenCV axes (x right, y down, z forward), K[3,3] px,
     the centre of the first pixel at (0.5, 0.5), width and height of its picture in px.
+
+        half = hugs.Camera(camera.viewmat, camera.K / torch.tensor([[2], [2], [1.0]]), camera.width // 2, camera.height // 2)
     """
 
     viewmat: Tensor
