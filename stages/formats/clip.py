@@ -165,5 +165,5 @@ def load_clip(sfm: Path, smpl: Path, train: Path | None = None, person: int = 1)
         body=with_hands(ordered, hands),
         body_model=read_body_model(model_of(smpl, person)),
         person=person,
-        hands=hands and hands.shape,
+        hands=None if hands is None else hands.shape,
     )

@@ -127,7 +127,9 @@ def _avatar(glb: Glb, marks: dict[str, Any]) -> Avatar:
     n = len(means)
     lists = {f"clothes_{name}": np.asarray(values, np.float32) for name, values in marks.get("clothes", {}).items()}
     own = JOINTS + len(lists.get("clothes_centres", ()))
-    fingers = {f"fingers_{name}": np.asarray(values, np.float32) for name, values in marks.get("fingers", {}).items()}
+    fingers: dict[str, np.ndarray] = {
+        f"fingers_{name}": np.asarray(values, np.float32) for name, values in marks.get("fingers", {}).items()
+    }
     bones = own + (len(FINGER_NAMES) if fingers else 0)
     glb.budget.spend(4 * n * bones, f"weights of {n} Gaussians for {bones} bones")
     weights = np.zeros((n, bones), np.float32)
