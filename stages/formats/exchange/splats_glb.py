@@ -24,7 +24,7 @@ from stages.gestures import FINGER_NAMES
 from stages.records import JOINT_NAMES, JOINTS, SH_C0, Avatar, Rig, Scene, Take
 
 SPLATS = "KHR_gaussian_splatting"
-FORMAT = 1  # of what stands under "hugs" in the file
+FORMATS = (1, 2)  # of what stands under "hugs" in the file: without fingers, and since there are some
 POINTS = 0  # glTF's mode
 HANDS = [JOINT_NAMES.index(f"{side}_hand") for side in ("left", "right")]
 
@@ -33,7 +33,7 @@ def write_splats_glb(path: Path, rig: Rig, takes: Sequence[Take], names: Names =
     """Write the avatar's Gaussians; the same avatar makes the same bytes. The floor of the T-pose is at the height `floor` m of the
     rig."""
     arrays, content, skeleton = Arrays(), start("avatar"), skeleton_of(rig, names)
-    hugs = {"format": FORMAT, "betas": rig.betas.tolist(), "antialias": rig.antialias}
+    hugs = {"format": FORMATS[-1], "betas": rig.betas.tolist(), "antialias": rig.antialias}
     content |= {"extensionsUsed": [SPLATS], "extras": {"hugs": hugs | _clothes(rig) | _fingers(rig)}}
     stand = {"name": "stand", "translation": [0.0, -floor, 0.0]}
     first = add_figure(content, arrays, "gaussians", skeleton, points(rig, arrays, _weights(rig, arrays)), stand)
@@ -103,11 +103,11 @@ def read_avatar_glb(path: Path) -> Avatar:
     glb = Glb(path)
     try:
         marks = glb.content["extras"]["hugs"]
-        known = marks["format"] == FORMAT
+        known = marks["format"] in FORMATS
     except (KeyError, TypeError, IndexError) as error:
         raise StageError(f"{path} holds no Gaussians of hugs", HINT, ["it has no extras.hugs"]) from error
     if not known:
-        facts = [f"its format is {marks['format']!r}, this hugs knows {FORMAT}"]
+        facts = [f"its format is {marks['format']!r}, this hugs knows {FORMATS[-1]} and before"]
         raise StageError(f"{path} was made by another version of hugs", "update hugs", facts)
     try:
         return _avatar(glb, marks)

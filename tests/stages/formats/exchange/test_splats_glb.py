@@ -172,7 +172,7 @@ def splat(content):
     ("change", "said"),
     [
         (lambda c: c.pop("extras"), "no Gaussians of hugs"),
-        (lambda c: c["extras"]["hugs"].update(format=2), "another version"),
+        (lambda c: c["extras"]["hugs"].update(format=3), "another version"),
         (lambda c: c["extras"]["hugs"].update(betas=[0, 1]), "found 2, wanted 10"),
         (lambda c: c["extras"]["hugs"].update(betas="x"), "damaged"),
         (lambda c: c["meshes"].pop(), "damaged"),
