@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from stages.avatar.kernels import njit, prange
+from stages.avatar.kernels.products import products
 from stages.avatar.splats.neighbours import nearest
 
 CLOTH = 0.5  # of a Gaussian's weight on bones of clothes, from which on it grows
@@ -53,7 +54,7 @@ class Stretch(NamedTuple):
 
     def grown(self, means: Tensor, blend: Tensor) -> Tensor:
         """The axes [N,3,3] of Gaussians that bones took to means[N,3] by blend[N,3,3]."""
-        return self.gained(blend @ self.axes, means)
+        return self.gained(products(blend, self.axes), means)
 
     def gained(self, axes: Tensor, means: Tensor) -> Tensor:
         """The axes [N,3,3], which may be overwritten, with what cloth gains of Gaussians that are at means[N,3]."""

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from stages.avatar.body.rotations import matrix_from_6d
+from stages.avatar.kernels.products import products
 from stages.avatar.model.decoders import OWN, TEMPERATURE, Decoders, Residuals
 from stages.avatar.model.person import Canonical, Surfels
 from stages.avatar.model.triplane import Triplane
@@ -134,7 +135,7 @@ class HumanModel(nn.Module):
         ratio = scale / SCALE_RANGE
         scale = scale / torch.hypot(torch.ones_like(ratio), ratio)  # unlike tanh never flat
         return (
-            self.rotations @ matrix_from_6d(identity + turn),
+            products(self.rotations, matrix_from_6d(identity + turn)),
             (self.log_sizes + scale).exp(),
             torch.sigmoid(self.logits + opacity),
             self.sh_starts[:, None] + sh,

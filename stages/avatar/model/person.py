@@ -11,6 +11,7 @@ from stages.avatar.body.rotations import matrix_from_rotvec
 from stages.avatar.body.skinning import FewBones, skin
 from stages.avatar.body.smpl import rest_relative_transforms
 from stages.avatar.body.stretch import Stretch
+from stages.avatar.kernels.products import products
 from stages.avatar.splats.gaussians import Splats
 
 
@@ -66,7 +67,7 @@ def bone_transforms(joints: Tensor, parents: list[int], global_orient: Tensor, b
 def rest(person: Canonical, canonical_bones: Tensor) -> Resting:
     """Take the person back to the rest pose: `taken_back` by `canonical_bones`[J,4,4] (rest to canonical)."""
     means, rotations = taken_back(person.means, person.weights, canonical_bones)
-    axes = rotations @ (person.rotations * person.scales[:, None, :])
+    axes = products(rotations, person.rotations * person.scales[:, None, :])
     normals = (rotations @ person.normals[..., None])[..., 0]
     return Resting(means, axes, person.opacities, person.sh, person.weights, rotations, normals)
 
@@ -99,7 +100,7 @@ def pose(
     the person's weights without zeros, if there are such, for poses that want no gradient; cloth grows by `stretch`, if any.
     """
     means, blend = skin(person.means, person.weights if few is None or bones.requires_grad else few, bones)
-    rotations = blend @ person.rotations if person.sh.shape[1] > 1 else None
-    axes = blend @ person.axes if stretch is None else stretch.grown(means, blend)
+    rotations = products(blend, person.rotations) if person.sh.shape[1] > 1 else None
+    axes = products(blend, person.axes) if stretch is None else stretch.grown(means, blend)
     normals = (blend.detach() @ person.normals[..., None])[..., 0]
     return Splats(means + transl, axes, person.opacities, person.sh, rotations, normals=normals)

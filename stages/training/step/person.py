@@ -16,6 +16,7 @@ from torch.optim import Optimizer
 
 from stages.avatar.body.skinning import knn_weights
 from stages.avatar.effects.shadow import Casters
+from stages.avatar.kernels.products import products
 from stages.avatar.model.decoders import OWN
 from stages.avatar.model.human import HumanModel
 from stages.avatar.model.person import Canonical, Resting, bone_transforms, pose, rest, taken_back
@@ -105,7 +106,7 @@ class PersonLearner:
         """The person at rest for one frame: of leaves that collect gradients until the next `learn`, and what is theirs now."""
         leaves = self._decoded()
         rotations, scales, opacities, sh, changed = self.human.look(*(leaves[name] for name in OWN))
-        self.pull, axes = losses.REGULAR * changed, leaves["rotations"] @ (rotations * scales[:, None, :])
+        self.pull, axes = losses.REGULAR * changed, products(leaves["rotations"], rotations * scales[:, None, :])
         own = leaves["weights"], leaves["rotations"], self.normals
         return Resting(leaves["means"], axes, opacities, sh, *own)
 
