@@ -55,7 +55,7 @@ class Params(contract.Params):
 
 
 SHORTER = {"fit_steps": 0}
-SCORE, POSE_STEP = 3.0, 0.45
+SCORE, POSE_STEP = 3.3, 0.5
 """Training steps of full size that it takes to score a held-out frame once, and to fit its pose by one step.
 The kitchen clip, a short training, 2 cores, November 2026."""
 

@@ -37,7 +37,7 @@ class Params(contract.Params):
     """Features of each triplane cell."""
     resolution: int = Field(128, gt=1, le=4096)
     """Cells along each side of a triplane."""
-    views_per_decode: int = Field(4, gt=0)
+    views_per_decode: int = Field(8, gt=0)
     """Training frames drawn for each run of the person's networks, whose gradients they share."""
     perceptual_every: int = Field(0, ge=0)
     """A perceptual (LPIPS) term on the person every so many steps; 0 = never. Slow without a GPU."""

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-SMALL, SMALL_UNDER = {"human_points": 27_500, "human_cap": 28_000, "scene_cap": 50_000}, 1200
+SMALL, SMALL_UNDER = {"human_points": 27_500, "human_cap": 28_000, "scene_cap": 50_000, "views_per_decode": 4}, 1200
 LARGE, LARGE_FROM = {"human_cap": 60_000, "scene_cap": 160_000}, 9000
 """Sizes where fewer, or more, than so many steps of the settings' own sizes fit into the time."""
 FEWEST = 200  # steps; fewer make no person

@@ -4,7 +4,16 @@ import pytest
 
 from stages.contract import Job
 from stages.training.timing import finishing
-from stages.training.timing.finishing import GAINS, HIDDEN, SETTLING, SHAPING, WRITING, Finishing, finishing_parts
+from stages.training.timing.finishing import (
+    GAINS,
+    HIDDEN,
+    SETTLING,
+    SHAPING,
+    STEPS,
+    WRITING,
+    Finishing,
+    finishing_parts,
+)
 
 
 @pytest.mark.parametrize(("slow", "first"), [(1.0, 1.0), (2.0, 2.0), (0.5, 1.0)])
@@ -29,4 +38,8 @@ def test_parts_that_are_left_out_are_over(tmp_path):
     say = Finishing(Job(tmp_path, emit=events.append), finishing_parts(1), 100, 1.0)
     say.begins(SHAPING)
     say.begins(WRITING)
-    assert [event["left"] for event in events] == [pytest.approx(30 + 150 + 4), pytest.approx(4, rel=0.1)]
+    left = (SHAPING, SETTLING, WRITING)
+    assert [event["left"] for event in events] == [
+        pytest.approx(sum(STEPS[part] for part in left)),
+        pytest.approx(4, rel=0.1),
+    ]
