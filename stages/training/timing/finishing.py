@@ -15,7 +15,7 @@ GAINS, HIDDEN, SHAPING, SETTLING, WRITING = (
 )
 STEPS = {HIDDEN: 28.0, SHAPING: 34.0, SETTLING: 165.0, WRITING: 4.0}
 """Part -> full, grown steps that take as long, of each person or once. The kitchen clip, 2 cores, November 2026."""
-GAIN = 12.0
+GAIN = 20.0
 """The same for measuring what one effect is worth."""
 
 
