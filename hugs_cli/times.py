@@ -156,11 +156,11 @@ def _form() -> TypeAdapter[Kept]:
     return TypeAdapter(Kept)
 
 
-def kernels(session: Session, stage: Stage) -> str:
-    """A digest of all that the kernels of a stage are compiled of: they are compiled anew where it is another."""
+def kernels(session: Session, stage: Stage, device: str) -> str:
+    """A digest of all that the kernels of a stage are compiled of; where it is another, some may be compiled anew."""
     code = session.code.digests(stage.module)
     own = {module: text for module, text in code.items() if module.startswith(KERNELS)}
-    return digest([contract.__file__, metadata.version("numba"), stage.module, own])
+    return digest([contract.__file__, metadata.version("numba"), stage.module, device, own])
 
 
 def learn(session: Session, stage: Stage, seconds: float, device: str, compiling: float = 0.0) -> None:
@@ -170,7 +170,7 @@ def learn(session: Session, stage: Stage, seconds: float, device: str, compiling
     """
     rows, known = kept().rows, kept().kernels
     if stage.module in COMPILING:
-        own = kernels(session, stage)
+        own = kernels(session, stage, device)
         known = [*(one for one in known if one != own), own][-KEPT:]
     if seconds - compiling >= SHORT and not stage.params.model_dump().get("seconds"):
         alone = (seconds - compiling) * free()
@@ -188,6 +188,7 @@ class Times:
 
     rows: list[Row]
     kernels: list[str] = field(default_factory=list)
+    device: str = "cpu"
 
     @cached_property
     def by_module(self) -> dict[str, list[Row]]:
@@ -204,7 +205,7 @@ class Times:
     def compiling(self, session: Session, stage: Stage) -> float:
         """Seconds in which a stage compiles kernels that are not there yet."""
         seconds = COMPILING.get(stage.module, 0.0)
-        if not seconds or kernels(session, stage) in self.kernels:
+        if not seconds or kernels(session, stage, self.device) in self.kernels:
             return 0.0
         return seconds * self.pace
 
@@ -235,7 +236,7 @@ def _slow(row: Row) -> float:
 def here(device: str) -> Times:
     """The times of this machine, with 'cpu' or 'cuda'."""
     count, known = processors(), kept()
-    return Times([row for row in known.rows if (row.device, row.processors) == (device, count)], known.kernels)
+    return Times([row for row in known.rows if (row.device, row.processors) == (device, count)], known.kernels, device)
 
 
 def expected(

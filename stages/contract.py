@@ -174,7 +174,7 @@ Cost = Callable[[Any, Mapping[str, Path]], float]
 Published = Callable[[str, str], Mapping[str, Sequence[float | None]]]
 
 
-TORCH = ("torch", "scipy.spatial", "scipy.ndimage", "scipy.optimize", "scipy.interpolate", "numba", "cv2")
+TORCH = ("torch", "scipy.spatial", "numba")
 """For LOADS: what stages need that compute with torch or draw."""
 ADAM = (*TORCH, "torch._dynamo")
 """Also what torch's optimisers load."""
@@ -190,7 +190,7 @@ class StageModule:
     resumes: bool = False
     """RESUMES: a run that was cut short goes on in its folder."""
     loads: Sequence[str] = ()
-    """LOADS: libraries that take long to load: once for all stages that need them, beside the stage before the first of these."""
+    """LOADS: libraries that take long to load; its process does so while the stage before it runs."""
     cost: Cost | None = None
     """cost(params, folders): time of the stage after the last step of training, in training steps.
     `folders` are the finished stages before training, by name."""

@@ -1,8 +1,7 @@
-"""The process of stages; `launcher.py` is on the other side.
+"""The process of a stage; `launcher.py` is on the other side.
 
-It loads the libraries that it is called with, reads job after job from stdin, and each is done by a copy of it, which lives as
-long as stdin stays open, so both end with a run that is killed. The copy reports events as JSON lines on a pipe; its stdout and
-stderr go to log.txt. That it has ended, and how, is reported by the process itself.
+It loads the libraries that it is called with, reads its job from stdin and lives as long as that stays open, so it ends with a
+run that is killed. It reports events as JSON lines on a pipe; its stdout and stderr go to log.txt.
 """
 
 from __future__ import annotations
@@ -78,50 +77,29 @@ def processors() -> int:
 
 
 def main() -> int:
-    """The process that loads libraries once, and does each job in a copy of itself."""
-    prepare()
-    load(sys.argv[1:])
-    if "numba" in sys.modules:
-        sys.modules["numba"].njit("int64()")(lambda: 0)  # loads what every kernel needs: 0.6 s
-    while True:
-        try:
-            job = json.loads(read_line(0))
-        except EOFError:
-            return 0
-        if (process := os.fork()) == 0:
-            return do(job)
-        _, status, usage = os.wait4(process, 0)
-        ended = {"event": "exit", "code": os.waitstatus_to_exitcode(status), "peak_memory": usage.ru_maxrss}
-        with suppress(BrokenPipeError):  # the run is gone
-            os.write(job["events"], f"\n{json.dumps(ended)}\n".encode())  # a killed one may have begun a line
-
-
-def load(libraries: Iterable[str]) -> None:
-    """Import what takes long to load."""
-    for library in libraries:
-        with suppress(Exception):  # the stage will fail by it, and say so
-            importlib.import_module(library)
-
-
-def do(job: dict[str, Any]) -> int:
-    """One job, of a stage or of checks; its exit code."""
+    """The stage's process."""
     import faulthandler
     import threading
 
-    watch = threading.Thread(target=end_with_parent, daemon=True)
-    watch.start()
-    load(job.get("loads", ()))
+    prepare()
+    for library in sys.argv[1:]:
+        with suppress(Exception):  # the stage will fail by it, and say so
+            importlib.import_module(library)
     compiling = count_compiling()
+    job = json.loads(read_line(0))
     sys.path[:] = job["path"]
     os.set_inheritable(job["events"], False)
     pipe = os.fdopen(job["events"], "w", encoding="utf-8", buffering=1)
-    pipe.write(json.dumps({"event": "begun", "process": os.getpid()}) + "\n")
     if "checks" in job:
-        return 0 if check(job["checks"], pipe) else 1
+        if not check(job["checks"], pipe):
+            return 1
+        job = json.loads(read_line(0))
     with open(job["log"], "ab") as log:
         for stream in (1, 2):
             os.dup2(log.fileno(), stream)
     faulthandler.enable()
+    watch = threading.Thread(target=end_with_parent, daemon=True)
+    watch.start()
     from stages.contract import Job, StageError, StageRecord, Stopped, load_stage
 
     last = 0.0

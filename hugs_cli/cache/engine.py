@@ -169,7 +169,6 @@ def make(
     inputs = {need: session.input_path(need, done) for need in stage.needs}
     job = {
         "module": stage.module,
-        "loads": list(stage.loads),
         "params": stage.params.model_dump(mode="json"),
         "inputs": {need: str(path.absolute()) if path else None for need, path in inputs.items()},
         "out": str(part.absolute()),

@@ -1,13 +1,14 @@
 """Runs each stage in a process of its own, with `child.py` on the other side.
 
-Loading torch takes 2 s. So it is loaded by a process of which each stage gets a copy; and where the next stage needs libraries
-that are not loaded, such a process is started beside a stage.
+Loading torch takes 2 s: so the process of the next stage is started while a stage still runs, and loads its libraries
+until it gets its job.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import resource
 import select
 import signal
 import subprocess
@@ -24,6 +25,7 @@ from hugs_cli.cache import child
 from stages.contract import MAXRSS
 
 TICK = 0.25  # s between looks at the clock
+AHEAD = 0.5  # of a stage's progress, from which on the next one's process may load
 
 
 @dataclass
@@ -49,9 +51,7 @@ class Launcher:
 
     def __init__(self, lock: int):
         self.lock = lock
-        self.process: Process | None = None
         self.ahead: Process | None = None
-        """The one that loads the libraries of the next stage, where `process` does not have them."""
 
     def launch(
         self, job: dict[str, Any], log: Path, heard: Callable[[dict[str, Any]], None], then: Sequence[str] | None = None
@@ -59,57 +59,40 @@ class Launcher:
         """Run one job (see `engine.make`) to its end; `heard` gets each event and {} each tick.
 
         SIGINT and SIGTERM are passed on once as a request to stop; the second time the process is killed. `then` names the
-        libraries of the stage that comes next; None: there is none.
+        libraries of the stage that comes next: its process is started ahead; None: there is none.
         """
         started = time.monotonic()
-        process = self.process = self._first(log)
+        process, self.ahead = self._first(log), None
         asked: list[int] = []
-        copy = 0
 
         def stop(signum: int, frame: Any) -> None:
             asked.append(signum)
-            if copy:
-                with suppress(ProcessLookupError):  # it has just ended
-                    os.kill(copy, signal.SIGTERM if len(asked) == 1 else signal.SIGKILL)
+            with suppress(ProcessLookupError):  # send_signal would reap a process that has just ended
+                os.kill(process.id, signal.SIGTERM if len(asked) == 1 else signal.SIGKILL)
 
         listens = threading.current_thread() is threading.main_thread()  # no other may, and none else is interrupted
         before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM) if listens}
-        outcome, code, peak_memory = Outcome("killed"), None, 0
+        outcome = Outcome("killed")
         try:
             process.give({**job, "log": str(log.absolute()), "path": sys.path})
             for event in events(process.events, process.id, heard):
-                if event["event"] == "exit":
-                    code, peak_memory, copy = event["code"], event["peak_memory"], 0
-                    break
-                if event["event"] == "begun":
-                    copy = event["process"]
-                    if asked:
-                        with suppress(ProcessLookupError):
-                            os.kill(copy, signal.SIGTERM)
-                    if then is not None and not process.has(then):
-                        self.ahead = Process(self.lock, then)
-                    continue
                 if event["event"] in ("note", "warning"):
                     said = outcome.notes if event["event"] == "note" else outcome.warnings
                     if event["text"] not in said:  # a stage may begin twice, as train does when it chooses its sizes
                         said.append(event["text"])
                 elif event["event"] in ("done", "error", "crash", "stopped"):
                     outcome.kind, outcome.facts = event["event"], event
+                elif then is not None and not self.ahead and far_enough(event):
+                    self.ahead = Process(self.lock, then)
                 heard(event)
+            code, usage = process.wait()
         finally:
-            copy = 0
-            if code is None:  # it was killed, or this side has failed: then the stage ends
-                self.process = None
-                process.close()
-            elif self.ahead:
-                self.process = None
-                process.end()
+            process.close()  # where this side has failed, the stage ends
             for number, handler in before.items():
                 signal.signal(number, handler)
-        code = process.wait() if code is None else code
         outcome.seconds = time.monotonic() - started
         outcome.compiling = outcome.facts.get("compiling", 0.0)
-        outcome.peak_memory_bytes = max(peak_memory * MAXRSS, outcome.facts.get("peak_memory_bytes", 0))
+        outcome.peak_memory_bytes = max(usage.ru_maxrss * MAXRSS, outcome.facts.get("peak_memory_bytes", 0))
         if code < 0 or (code and outcome.kind in ("done", "killed")):
             outcome.kind = "killed"
             outcome.facts = {"signal": -code, "exit": code}
@@ -119,49 +102,45 @@ class Launcher:
         return outcome
 
     def check(self, jobs: list[dict[str, Any]]) -> dict[str, Any] | None:
-        """Let stages check what they are given (see `checks.check`), in a copy of the process that the next stage gets one of.
+        """Let stages check what they are given (see `checks.check`), in the process that runs the next stage.
 
         Returns the event of the first that refuses it, with the stage's name; None if none does.
         """
-        process, stage, last, code = Process(self.lock), "", {"event": ""}, 0
-        self.process = process
-        process.give({"checks": jobs, "path": sys.path})
-        for event in events(process.events, process.id, lambda event: None):
+        self.ahead, stage = Process(self.lock), ""
+        self.ahead.give({"checks": jobs, "path": sys.path})
+        for event in events(self.ahead.events, self.ahead.id, lambda event: None):
+            if event["event"] == "checked":
+                return None
             stage = event.get("stage", stage)
-            if event["event"] == "exit":
-                code = event["code"]
-                break
-            last = event
-        if last["event"] == "checked":
-            return None
-        if last["event"] in ("error", "crash"):
-            return {**last, "stage": stage}
-        problem = f"the check of the inputs of stage {stage} was ended by signal {-(code or process.wait())}"
+            if event["event"] != "checks":
+                return {**event, "stage": stage}
+        code, _ = self.ahead.wait()
+        problem = f"the check of the inputs of stage {stage} was ended by signal {-code}"
         return {"event": "error", "stage": stage, "problem": problem, "hint": "see whether memory ran out", "facts": []}
 
     def _first(self, log: Path) -> Process:
-        """The process for the next stage, unless it has died; else a new one, which writes to `log` from its start."""
-        process, self.ahead = self.ahead or self.process, None
-        if process and process.popen.poll() is None:
+        """The process that was started ahead, unless it has died; else a new one, which writes to `log` from its start."""
+        if self.ahead and self.ahead.popen.poll() is None:
             log.touch()
-            return process
-        if process:
-            process.close()
+            return self.ahead
+        if self.ahead:
+            self.ahead.close()
         with open(log, "ab") as output:
             return Process(self.lock, output=output.fileno())
 
     def close(self) -> None:
-        """End the processes, which wait for jobs that never come."""
-        for process in filter(None, (self.process, self.ahead)):
-            process.end()
-        self.process = self.ahead = None
+        """End a process that waits for a job that never came."""
+        if self.ahead:
+            self.ahead.popen.kill()
+            self.ahead.popen.wait()
+            self.ahead.close()
+            self.ahead = None
 
 
 class Process:
-    """The process of stages, which loads `libraries` until it is given a job; `events` is the end of a pipe to read."""
+    """The process of a stage, which loads `libraries` until it is given its job; `events` is the end of a pipe to read."""
 
     def __init__(self, lock: int, libraries: Sequence[str] = (), output: int = subprocess.DEVNULL):
-        self.libraries = frozenset(libraries)
         self.events, self.write = os.pipe()
         self.popen = subprocess.Popen(
             [sys.executable, "-P", child.__file__, *libraries],
@@ -177,10 +156,6 @@ class Process:
     def id(self) -> int:
         return self.popen.pid
 
-    def has(self, libraries: Sequence[str]) -> bool:
-        """Whether it has loaded these libraries."""
-        return self.libraries.issuperset(libraries)
-
     def give(self, job: dict[str, Any]) -> None:
         """Tell it what to do."""
         assert self.popen.stdin
@@ -188,23 +163,23 @@ class Process:
             self.popen.stdin.write(json.dumps({**job, "events": self.write}).encode() + b"\n")
             self.popen.stdin.flush()
 
-    def wait(self) -> int:
-        """Its exit code, negative for a signal, once it has ended."""
-        self.popen.returncode = os.waitstatus_to_exitcode(os.waitpid(self.id, 0)[1])
-        return self.popen.returncode
-
-    def end(self) -> None:
-        """End it while it waits for a job."""
-        self.popen.kill()
-        self.popen.wait()
-        self.close()
+    def wait(self) -> tuple[int, resource.struct_rusage]:
+        """Its exit code, negative for a signal, and what it used; once it has ended."""
+        _, status, usage = os.wait4(self.id, 0)
+        self.popen.returncode = os.waitstatus_to_exitcode(status)
+        return self.popen.returncode, usage
 
     def close(self) -> None:
-        """Let go of it: it ends unless it has ended, and so does what it does."""
+        """Let go of it: it ends unless it has ended."""
         assert self.popen.stdin
         os.close(self.events)
         with suppress(BrokenPipeError):
             self.popen.stdin.close()
+
+
+def far_enough(event: dict[str, Any]) -> bool:
+    """Whether a stage says that it has done AHEAD of its work."""
+    return bool(event["event"] == "progress" and event["done"] >= AHEAD * event["total"])
 
 
 def events(pipe: int, process: int, heard: Callable[[dict[str, Any]], None]) -> Iterator[dict[str, Any]]:
@@ -221,9 +196,4 @@ def events(pipe: int, process: int, heard: Callable[[dict[str, Any]], None]) -> 
         if not data:
             return
         *lines, rest = (rest + data).split(b"\n")
-        for line in lines:
-            try:
-                event = json.loads(line)
-            except ValueError:  # a killed process left a part of a line
-                continue
-            yield event
+        yield from map(json.loads, lines)

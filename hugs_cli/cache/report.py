@@ -129,10 +129,9 @@ class Report:
                 process.popen.kill()
 
         for event in events(process.events, process.id, waits):
-            if event["event"] == "exit":
-                break
             last = event
-        process.end()
+        process.wait()
+        process.close()
         return last
 
 

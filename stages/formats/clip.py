@@ -40,7 +40,7 @@ class Clip:
     body: BodyPoses
     body_model: BodyModel
     person: int = 1
-    hands: np.ndarray | None = None
+    hand_shape: np.ndarray | None = None
     """The pose [2,15,3] rad of the fingers that the clip shows, 0 for a hand that is not read; None: none is."""
     alone: bool = False
     """Masks are of `person`, and not of everybody."""
@@ -165,5 +165,5 @@ def load_clip(sfm: Path, smpl: Path, train: Path | None = None, person: int = 1)
         body=with_hands(ordered, hands),
         body_model=read_body_model(model_of(smpl, person)),
         person=person,
-        hands=None if hands is None else hands.shape,
+        hand_shape=None if hands is None else hands.shape,
     )

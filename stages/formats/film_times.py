@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 SAME = 1e-6  # s, and of a slot
-STRAYS = 0.01  # of the pictures, or one: so few beyond a gap longer than all the rest have a wrong time
+STRAYS = 0.01  # of the pictures, or one: so few at an end, beyond a gap longer than all the rest, have a wrong time
 PAUSE = 2.0  # s, and ten steps: a longer one is said
 
 
@@ -43,14 +43,14 @@ class FilmTimes:
         self.places[self.good] = self._spread(ends, steps)
 
     def _good(self) -> tuple[np.ndarray, list[int]]:
-        first, last = 0, len(self.times)
+        first, last, strays = 0, len(self.times), max(1, STRAYS * len(self.times))
         while last - first > 2:
             times = self.times[first:last]
             gap = int(np.diff(times).argmax()) + 1
-            few = min(gap, len(times) - gap)
-            if few > max(1, STRAYS * len(times)) or np.diff(times).max() <= (times[-1] - times[0]) / 2:
+            begin, end = (first + gap, last) if gap <= len(times) - gap else (first, first + gap)
+            if max(begin, len(self.times) - end) > strays or np.diff(times).max() <= (times[-1] - times[0]) / 2:
                 break
-            first, last = (first + gap, last) if few == gap else (first, first + gap)
+            first, last = begin, end
         good = np.zeros(len(self.times), bool)
         good[first:last] = True
         return good, np.flatnonzero(~good).tolist()

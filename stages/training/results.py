@@ -178,7 +178,7 @@ def _with_gestures(avatar: Avatar, clip: Clip, say: Finishing) -> Avatar:
         )
         return avatar
     try:
-        return attach(avatar, clip.body_model, rig, clip.hands)
+        return attach(avatar, clip.body_model, rig, clip.hand_shape)
     except UNFINISHED as error:
         say.warn(f"the person got no fingers and no face that moves: {error}")
         return avatar

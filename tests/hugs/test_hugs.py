@@ -46,4 +46,8 @@ def test_each_public_function_and_class_has_an_example():
         if callable(value):
             lines = (inspect.getdoc(value) or "").splitlines()
             example = textwrap.dedent("\n".join(line for line in lines if line.startswith("    ")))
-            assert ast.parse(example).body, f"hugs.{name} has no example"
+            tree = ast.parse(example)
+            assert tree.body, f"hugs.{name} has no example"
+            for node in ast.walk(tree):
+                if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "hugs":
+                    assert node.attr in hugs.__all__, f"the example of hugs.{name} has hugs.{node.attr}"

@@ -62,7 +62,7 @@ def even(take: records.Take) -> records.Take:
     Clothes are left out, and of fingers only their bones' turns are there.
     """
     if len(take) < 2:
-        return replace(take, clothes=None)
+        return replace(take, clothes=None, hands=None)
     steps = max(1, round(take.times[-1] / np.median(np.diff(take.times))))
     times = np.linspace(0, take.times[-1], steps + 1)
 

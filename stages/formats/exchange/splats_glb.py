@@ -24,7 +24,7 @@ from stages.gestures import FINGER_NAMES
 from stages.records import JOINT_NAMES, JOINTS, SH_C0, Avatar, Rig, Scene, Take
 
 SPLATS = "KHR_gaussian_splatting"
-FORMATS = (1, 2)  # of what stands under "hugs" in the file: without fingers, and since there are some
+FORMATS = (1, 2)  # of what stands under "hugs" in the file: without fingers, with them
 POINTS = 0  # glTF's mode
 HANDS = [JOINT_NAMES.index(f"{side}_hand") for side in ("left", "right")]
 
@@ -33,7 +33,7 @@ def write_splats_glb(path: Path, rig: Rig, takes: Sequence[Take], names: Names =
     """Write the avatar's Gaussians; the same avatar makes the same bytes. The floor of the T-pose is at the height `floor` m of the
     rig."""
     arrays, content, skeleton = Arrays(), start("avatar"), skeleton_of(rig, names)
-    hugs = {"format": FORMATS[-1], "betas": rig.betas.tolist(), "antialias": rig.antialias}
+    hugs = {"format": FORMATS[rig.fingers is not None], "betas": rig.betas.tolist(), "antialias": rig.antialias}
     content |= {"extensionsUsed": [SPLATS], "extras": {"hugs": hugs | _clothes(rig) | _fingers(rig)}}
     stand = {"name": "stand", "translation": [0.0, -floor, 0.0]}
     first = add_figure(content, arrays, "gaussians", skeleton, points(rig, arrays, _weights(rig, arrays)), stand)

@@ -179,10 +179,10 @@ class _Start:
         # clothes hang at rest: legs apart would pull a skirt apart
         pose = torch.zeros_like(DA_POSE) if self.decisions.get("clothing", False) else DA_POSE
         vertices, _ = body(betas, torch.zeros(1, 3), pose[None], torch.zeros(1, 3))
-        rig = None if clip.hands is None else read_hands_face(model)
+        rig = None if clip.hand_shape is None else read_hands_face(model)
         if rig is not None:  # the canonical pose leaves arms as they are at rest
             rest, _ = body.rest(betas)
-            vertices = vertices + bent_skin(rig, rest, torch.as_tensor(clip.hands).float()) - rest
+            vertices = vertices + bent_skin(rig, rest, torch.as_tensor(clip.hand_shape).float()) - rest
         return FittedBody(
             self._tensor(fitted.global_orient),
             self._tensor(fitted.body_pose),

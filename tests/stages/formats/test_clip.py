@@ -75,16 +75,16 @@ def test_a25_a_picture_of_another_size_is_refused(tiny, tmp_path):
 
 
 def test_hands_that_were_read_are_the_clips_and_their_shape_the_avatars(tiny, tmp_path):
-    assert load_clip(tiny["sfm"], tiny["smpl"]).hands is None
+    assert load_clip(tiny["sfm"], tiny["smpl"]).hand_shape is None
     smpl, names = shutil.copytree(tiny["smpl"], tmp_path / "smpl"), tiny_clip.NAMES
     shape, each = np.full((2, 15, 3), 0.1), np.zeros((len(names), 2))
     turns = np.random.default_rng(0).normal(0, 0.3, (len(names), 2, 15, 3))
     hands = HandPoses(names[::-1], turns[::-1], shape, each > 0, each, each)
     write_hands(smpl / "hands.npz", hands)
-    assert load_clip(tiny["sfm"], smpl).hands is None and load_clip(tiny["sfm"], smpl).body.hands is None
+    assert load_clip(tiny["sfm"], smpl).hand_shape is None and load_clip(tiny["sfm"], smpl).body.hands is None
     write_hands(smpl / "hands.npz", replace(hands, read=each == 0))
     clip = load_clip(tiny["sfm"], smpl)
-    assert np.array_equal(clip.hands, shape) and np.array_equal(clip.body.hands, turns)
+    assert np.array_equal(clip.hand_shape, shape) and np.array_equal(clip.body.hands, turns)
     parts = (part[2:] for part in (turns, each == 0, each, each))
     few = HandPoses(names[2:], next(parts), shape, *parts)
     write_hands(smpl / "hands.npz", few)

@@ -36,6 +36,7 @@ def test_even_times_are_cut_evenly():
         ([0, 1, 2, 3, 4, 5, 6, 7, 60], [8]),
         ([0, 1, 2, 3, 4, 5, 6, 7, 12], []),  # no longer than the film itself
         ([0, 1, 2, 3, 60, 61, 62, 63, 64], []),  # a pause
+        ([0, 8, 12, 14, 15, 15.25, 15.5, 15.75], [0]),  # each step half of the one before
     ],
 )
 def test_a_time_far_from_all_others_is_left_out_wherever_it_stands(times, left_out):

@@ -19,7 +19,8 @@ def test_the_persons_hands_begin_as_the_clip_shows_them(tiny):
     bent = np.zeros((2, 15, 3))
     bent[0, :3, 2] = -0.8
     still, moved = (
-        build(Task([replace(clip, hands=hands)], params, {"scene": False}), print).people[0] for hands in (None, bent)
+        build(Task([replace(clip, hand_shape=hands)], params, {"scene": False}), print).people[0]
+        for hands in (None, bent)
     )
     far = (still.body.vertices - moved.body.vertices).norm(dim=1)
     hand = still.body.weights[:, HANDS[0]] > 0
