@@ -79,7 +79,7 @@ def run(name: str, pipeline: str, work: Path, folder: Path | None, lpips: Lpips)
     if done.returncode:
         said = [line.strip() for line in done.stderr.splitlines() if line.strip()]
         return {"failed": next((line for line in said if line.startswith("error")), (said or ["no word"])[-1])}
-    (place / f"{pipeline}.log").write_text(done.stdout)  # with the guess of how long it takes
+    (place / f"{pipeline}.log").write_text(done.stderr)  # with the guess of how long it takes
     results = place / video.stem / pipeline
     row = facts(results) | {"options": list(more)}
     if truth is not None:
