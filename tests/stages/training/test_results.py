@@ -70,7 +70,7 @@ class Fitted:
     names: tuple[str, ...]
     body: BodyPoses
     body_model: BodyModel
-    hands: np.ndarray | None = None
+    hand_shape: np.ndarray | None = None
 
 
 def fitted(person) -> Fitted:
