@@ -97,11 +97,8 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
         rig = rig_of(avatar)
         soles = Soles.of_rig(rig)
         _still(own, params, avatar, around, soles, ground)
-        takes = (
-            _takes(frames, folder_of(smpl, person), there, ground, soles, avatar)
-            if formats & {*RIGGED, "bvh", *MOVING}
-            else []
-        )
+        moves, bodies = bool(formats & {*RIGGED, "bvh", *MOVING}), folder_of(smpl, person)
+        takes = _takes(frames, bodies, there, ground, soles, avatar) if moves else []
         if formats & set(RIGGED):
             _rigged(own, params, avatar, rig, takes, soles.floor)
         if "bvh" in formats:

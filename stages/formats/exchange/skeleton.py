@@ -19,6 +19,7 @@ GOES_ON = {"pelvis": "spine1", "spine3": "neck"}
 """Where a bone ends of whose joint several begin."""
 AHEAD, UP = np.array([0.0, 0, 1]), np.array([0.0, 1, 0])
 FLAT = 0.7  # cosine to AHEAD above which a bone lies along it
+HANDS = [JOINT_NAMES.index(f"{side}_hand") for side in ("left", "right")]
 
 
 class Skeleton(NamedTuple):
@@ -95,8 +96,8 @@ def _fingered(bare: Skeleton, finger_joints: np.ndarray, names: tuple[str, ...])
     joints, tips = np.split(finger_joints, [len(FINGER_NAMES)])
     chains = np.concatenate([joints.reshape(10, 3, 3), tips[:, None]], 1)
     ways = np.diff(chains, axis=1).reshape(-1, 3)
-    first, hands = len(bare.names), [JOINT_NAMES.index(f"{side}_hand") for side in ("left", "right")]
-    parents = [hands[bone // 15] if bone % 3 == 0 else first + bone - 1 for bone in range(len(FINGER_NAMES))]
+    first = len(bare.names)
+    parents = [HANDS[bone // 15] if bone % 3 == 0 else first + bone - 1 for bone in range(len(FINGER_NAMES))]
     return Skeleton(
         (*bare.names, *names),
         np.concatenate([bare.parents, parents]),

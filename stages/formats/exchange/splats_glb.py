@@ -18,15 +18,14 @@ from stages.contract import StageError
 from stages.formats.exchange.avatar_glb import add_figure, add_motions, start
 from stages.formats.exchange.bone_names import Names
 from stages.formats.exchange.glb import HINT, VERTICES, Arrays, Glb, write_glb
-from stages.formats.exchange.skeleton import skeleton_of
+from stages.formats.exchange.skeleton import HANDS, skeleton_of
 from stages.formats.splats import gathered
 from stages.gestures import FINGER_NAMES
-from stages.records import JOINT_NAMES, JOINTS, SH_C0, Avatar, Rig, Scene, Take
+from stages.records import JOINTS, SH_C0, Avatar, Rig, Scene, Take
 
 SPLATS = "KHR_gaussian_splatting"
 FORMATS = (1, 2)  # of what stands under "hugs" in the file: without fingers, with them
 POINTS = 0  # glTF's mode
-HANDS = [JOINT_NAMES.index(f"{side}_hand") for side in ("left", "right")]
 
 
 def write_splats_glb(path: Path, rig: Rig, takes: Sequence[Take], names: Names = "smpl", floor: float = 0.0) -> None:
