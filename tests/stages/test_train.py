@@ -636,8 +636,9 @@ def test_a_person_whose_poses_nothing_trusts_is_a_clear_error(tmp_path, inputs):
 
 
 @pytest.mark.slow
-def test_the_last_steps_teach_the_person_though_they_are_no_whole_group(inputs):
-    fit = begun(inputs, PARAMS.model_copy(update={"steps": 1, "views_per_decode": 2})).fit
+@pytest.mark.parametrize("until", [0.4, 1.0])
+def test_the_last_steps_teach_the_person_though_they_are_no_whole_group(inputs, until):
+    fit = begun(inputs, PARAMS.model_copy(update={"steps": 1, "views_per_decode": 2, "networks_until": until})).fit
     fit.advance()
     assert fit.people[0].color_grad_sum.sum() > 0
 

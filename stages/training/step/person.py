@@ -102,9 +102,12 @@ class PersonLearner:
         """The `views` of whole size with the masks of this person alone."""
         return views if self.outline is None else views._replace(masks=self.outline.masks)
 
-    def resting(self) -> Resting:
-        """The person at rest for one frame: of leaves that collect gradients until the next `learn`, and what is theirs now."""
-        leaves = self._decoded()
+    def resting(self, learn: bool = True) -> Resting:
+        """The person at rest for one frame: of leaves that collect gradients until the next `learn`, and what is theirs now.
+
+        Without `learn` the leaves collect none.
+        """
+        leaves = self._decoded() if learn else {name: leaf.detach() for name, leaf in self._decoded().items()}
         rotations, scales, opacities, sh, changed = self.human.look(*(leaves[name] for name in OWN))
         self.pull, axes = losses.REGULAR * changed, products(leaves["rotations"], rotations * scales[:, None, :])
         own = leaves["weights"], leaves["rotations"], self.normals
