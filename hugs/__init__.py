@@ -1,6 +1,6 @@
-"""Avatars from Python: load one, pose it, draw it. See docs/python.md; these names stay as they are.
+"""Avatars from Python: load one, pose it, draw it. See docs/python.md; these names are stable.
 
-Nothing heavy is imported before a name is used for the first time.
+A name's module, and torch with it, is imported when the name is first used.
 """
 
 from __future__ import annotations

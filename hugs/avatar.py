@@ -1,4 +1,4 @@
-"""A trained person, and what a run holds of their clip."""
+"""A trained person, with scene, cameras and motions of the clip if there is a run."""
 
 from __future__ import annotations
 
@@ -38,44 +38,44 @@ from stages.formats.trained import read_trained
 from stages.gestures import FACE_NAMES
 
 LEVEL = records.Ground(np.zeros(3), np.array([0.0, 1, 0]), np.array([0.0, 0, 1]), 1.0, 0.0, 0.0, 0, "made")
-"""The floor under an avatar without a clip: y is up, and it looks along z."""
+"""The floor of an avatar without a clip: y is up, the avatar looks along z."""
 
 
 @dataclass(frozen=True, repr=False)
 class Avatar:
-    """A trained person and, from a run's folder, their clip: `load` makes one.
+    """A trained person, with the scene, cameras and motion of the clip if `load` read the folder of a run.
 
         avatar = hugs.load("work/dance/default")
         person = avatar.pose(*avatar.motions["clip"][12])
         picture = hugs.draw(person, avatar.cameras[12], avatar.scene)
 
-    All is in one world, in metres: that of the clip, or, of a file alone, y up with the feet at about y = -1.2.
+    Everything is in one world, in metres: the world of the clip, or for an exported file y up with the feet near y = -1.2.
     """
 
     record: records.Avatar
-    """The arrays of its file."""
+    """The arrays of the avatar's file."""
     baked: Baked
     """Gaussians at rest, skeleton and clothes, as tensors."""
     body: Body | None = None
-    """The body without clothes; None where it is not known."""
+    """The body without clothes; None if it is unknown."""
     model: records.BodyModel | None = None
-    """The arrays of that body."""
+    """The arrays of that body; None if it is unknown."""
     name: str = ""
-    """The folder or file that it is from."""
+    """The folder or file that was loaded, as text."""
     path: Path | None = None
-    """Where that is."""
+    """The path of the folder or file that was loaded."""
     scene: Gaussians[Tensor] | None = None
-    """The scene behind; None where there is none."""
+    """The scene behind the person; None if there is no scene."""
     frames: tuple[str, ...] = ()
-    """Names of the F frames of the clip, those of cameras and of the motion "clip"."""
+    """Names of the F frames of the clip; `cameras` and the motion "clip" have the same order."""
     cameras: tuple[Camera, ...] = ()
     """Cameras of the F frames."""
     clip: Motion | None = None
-    """The motion of the clip; None of a file."""
+    """The motion of the clip; None for an exported file."""
     floor: records.Ground | None = None
-    """The floor on which the person stood; None of a file."""
+    """The floor on which the person stood; None for an exported file."""
     light: records.Effects | None = None
-    """The lamp and the light on people, as learned from the clip, for `draw`; None of a file."""
+    """The lamp for shadows and the light on people, learned from the clip, for `draw`; None for an exported file."""
 
     def __repr__(self) -> str:
         tall = np.ptp(self.rest.means[:, 1].detach().cpu().numpy())
@@ -91,24 +91,24 @@ class Avatar:
 
     @property
     def faces(self) -> np.ndarray:
-        """Triangles [T,3] between `Person.vertices`, counter-clockwise from outside; none where the body is not known."""
+        """Triangles [T,3] between `Person.vertices`, counter-clockwise from outside; [0,3] if the body is unknown."""
         return np.zeros((0, 3), np.int32) if self.model is None else self.model.faces
 
     @property
     def rest(self) -> Resting:
-        """The Gaussians at rest, as tensors, from which every pose starts."""
+        """The Gaussians in the rest pose, as tensors; poses move them."""
         return self.baked.resting
 
     @cached_property
     def motions(self) -> Motions:
-        """Motions by name: "clip", of a run, and made ones on the floor, such as "walk_in_place"."""
+        """Motions by name: "clip" if the avatar is from a run, and generated ones such as "walk_in_place"."""
         gestured = self.record.fingers is not None and self.record.face is not None
         return Motions(Soles.of_rig(rig_of(self.record)), self.floor or LEVEL, self.clip, gestured)
 
     def changed(self, **parts: Tensor) -> Avatar:
-        """The same person with other Gaussians: `means` [N,3] m, `axes` [N,3,3] m, `opacities` [N] or `sh` [N,K,3] of `rest`.
+        """The same person with some arrays of `rest` replaced: `means` [N,3] m, `axes` [N,3,3] m, `opacities` [N], `sh` [N,K,3].
 
-        Pictures are differentiable in them.
+        Pictures are differentiable in these arrays.
         """
         return replace(self, baked=rested(self.baked, self.rest._replace(**parts)))
 
@@ -143,20 +143,21 @@ class Avatar:
         hands: Any = None,
         face: Any = None,
     ) -> Person[Any]:
-        """The person at one pose of SMPL, or at P poses at once; what is left out is zero, and all zero is the T-pose.
+        """The person in one pose of SMPL, or in P poses at once; arguments left out are zero, and with all zero it is the T-pose.
 
         `body_pose` [69], [23,3], [P,69] or [P,23,3] and `global_orient` [3] or [P,3] are rotation vectors in radians, `transl`
-        [3] or [P,3] is in metres. `betas` [10], one shape for all poses, takes the place of the avatar's own: Gaussians go with
-        the skin under them. `hands` [2,15,3] or [P,2,15,3] in radians are poses of the fingers of FINGER_NAMES, all 0 at rest, and
-        `face` coefficients of the shapes of FACE_NAMES, by name or [52] or [P,52]; without them both are as in the clip. Tensors
-        give tensors, differentiable in all; arrays give arrays. ValueError for other shapes and for numbers that are not finite;
-        StageError for `betas` where the body is not known, and for hands and faces that do not move.
+        [3] or [P,3] is in metres. `betas` [10] is one body shape for all poses instead of the avatar's own; the Gaussians follow
+        the skin. `hands` [2,15,3] or [P,2,15,3] in radians turn the fingers of FINGER_NAMES; 0 is the hand at rest. `face` has
+        coefficients of the shapes of FACE_NAMES, by name, or as [52] or [P,52]. Without them fingers and face are as in the clip.
+        If `body_pose` is a tensor, results are tensors, differentiable in all arguments; else they are arrays. ValueError for
+        other shapes and numbers that are not finite; StageError for `betas` of an unknown body, and for `hands` or a `face`
+        that this avatar lacks.
 
             person = avatar.pose(torch.zeros(8, 69), transl=torch.randn(8, 3), face={"jawOpen": 0.4})
         """
         arrays = not isinstance(body_pose, Tensor)
         if arrays and any(isinstance(part, Tensor) for part in (global_orient, transl, betas, hands, face)):
-            raise ValueError("of a pose in tensors body_pose is a tensor, too: give torch.zeros(69)")
+            raise ValueError("body_pose must be a tensor if another argument is: give torch.zeros(69)")
         given = {"body_pose": (body_pose, 69), "global_orient": (global_orient, 3), "transl": (transl, 3)}
         if hands is not None:
             self._has("fingers", self.record.fingers)
@@ -167,7 +168,7 @@ class Avatar:
         parts = {name: self._tensor(name, *part) for name, part in given.items()}
         counts = {name: len(part) for name, part in parts.items() if part.ndim == 2}
         if len(set(counts.values())) > 1:
-            raise ValueError(f"the poses are not equally many: {counts}")
+            raise ValueError(f"the numbers of poses differ: {counts}")
         count = next(iter(counts.values()), 1)
         parts = {name: part.expand(count, -1) for name, part in parts.items()}
         shape = self._betas if betas is None else self._tensor("betas", betas, 10)
@@ -180,7 +181,7 @@ class Avatar:
 
     def _has(self, what: str, part: object) -> None:
         if part is None:
-            facts = ["files of before this version have none, nor has a person on an SMPL model's body"]
+            facts = ["avatars of earlier versions, or on the body of an SMPL model, have none"]
             raise StageError(f"the avatar {self.name} has no {what}", "train it again, without --body-model", facts)
 
     @cached_property
@@ -195,14 +196,14 @@ class Avatar:
     def _shapes(self) -> Shapes:
         if self.body is None:
             raise StageError(
-                "the body of this avatar is not known, so it has no other shape",
+                "the body of this avatar is unknown, so its shape cannot change",
                 "load the folder of its run, which holds the body",
-                ["an exported avatar holds joints and Gaussians, and no template of the body"],
+                ["an exported avatar holds joints and Gaussians, but no template of the body"],
             )
         return shapes_of(self.baked, self.body, self._betas)
 
     def _tensor(self, name: str, value: Any, size: int) -> Tensor:
-        """Numbers [size] or [P,size] of a pose, in the precision and on the device of the avatar."""
+        """One argument of a pose as a tensor [size] or [P,size], in the precision and on the device of the avatar."""
         joints = self.baked.joints
         part = torch.zeros(size) if value is None else torch.as_tensor(value)
         if name == "body_pose" and part.shape[-2:] == (23, 3):
@@ -211,16 +212,18 @@ class Avatar:
             part = part.flatten(-3)
         few = (1,) if name == "betas" else (1, 2)
         if part.ndim not in few or part.shape[-1] != size or not part.isfinite().all():
-            raise ValueError(f"{name} has the shape {tuple(part.shape)}, wanted are {size} finite numbers a pose")
+            raise ValueError(
+                f"{name} has the shape {tuple(part.shape)}, wanted are {size} finite numbers for each pose"
+            )
         return part.to(joints)
 
 
 def load(path: str | PathLike[str], who: int = 1, device: str = "cpu") -> Avatar:
-    """The avatar at a `path`: a finished run's folder, such as work/dance/default, with its clip and scene, or avatar.npz or
-    avatar_splats.glb alone; on `device`.
+    """Load, to `device`, the avatar of a finished run with its clip and scene (`path` is a folder such as work/dance/default), or
+    an avatar alone (`path` is an avatar.npz or avatar_splats.glb).
 
-    `who` is which of the people of a run. StageError, with facts and a hint, for what is neither, and for a person who is not
-    there.
+    `who` is the number of the person in a run, from 1 on. StageError, with facts and a hint, for any other path and for a
+    number without a person.
 
         avatar = hugs.load("work/dance/default")
     """

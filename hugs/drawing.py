@@ -1,4 +1,4 @@
-"""People and a scene, drawn as the command line draws them."""
+"""Draws people and a scene, in the same way as the commands."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from stages.formats.images import write_image as _write
 
 
 class Picture(NamedTuple, Generic[Array]):
-    """A picture, or P of them with a first axis [P,...].
+    """A picture, or P pictures with a first axis [P,...].
 
-    `image` [H,W,3], 0 to 1, over the background; `alpha` [H,W] is how much of a pixel is covered; `depth` [H,W] m sums the depth z
-    of what covers it by its share: depth / alpha is the mean.
+    `image` [H,W,3], 0 to 1, has the background; `alpha` [H,W] is the covered share of each pixel; `depth` [H,W] m is the sum of
+    depths z, each weighted by the share that it covers: depth / alpha is the mean.
 
         image, alpha, depth = hugs.draw(person, camera)
     """
@@ -48,7 +48,7 @@ def camera(
     width: int = 512,
     height: int = 512,
 ) -> Camera:
-    """A camera at `eye` that looks at `target` [3] m; `focal` in pixels. ValueError where both are one point.
+    """A camera at `eye` [3] m that looks at `target` [3] m; `focal` in pixels. ValueError if both are the same point.
 
     `up` is (0, -1, 0) in the world of a clip. A camera from tensors is `hugs.Camera(viewmat, K, width, height)`.
 
@@ -85,13 +85,13 @@ def draw(
     background: float | ArrayLike | Tensor = 0.0,
     light: records.Effects | None = None,
 ) -> Picture[Any]:
-    """The picture of a person, of several people, or of nobody (None), in front of a `scene` and a `background`, grey or [3].
+    """Draw a person, several people, or nobody (None), in front of a `scene` and a `background`, grey or [3].
 
-    With P cameras, or people in P poses, there are P pictures, the first of the first and so on. With `light`, as
-    `Avatar.light`, people are lit as in the clip and shade the scene. The picture is arrays where all people are, or without people
-    the scene; else tensors, differentiable in the Gaussians, the poses, the background and the camera's viewmat and K; no
-    gradient goes through shadows. On the device of the avatar. What is not finite is left out with a UserWarning. ValueError
-    where nothing is there, counts differ, or a camera is not finite.
+    With P cameras, or people in P poses, there are P pictures; picture i has camera i and pose i. With `light`, usually
+    `Avatar.light`, people are lit as in the clip and cast shadows on the scene. If all people hold arrays (without people: if the
+    scene does), the picture holds arrays. Else it holds tensors on the device of the avatar, differentiable in the Gaussians, the
+    poses, the background and the camera's viewmat and K, but not through shadows. Gaussians that are not finite are left out with
+    a UserWarning. ValueError if there is neither person nor scene, if counts differ, or if a camera is not finite.
 
         image, alpha, depth = hugs.draw([ann, ben], avatar.cameras[:8], avatar.scene, light=avatar.light)
     """
@@ -99,7 +99,7 @@ def draw(
     views = [camera] if isinstance(camera, Camera) else list(camera)
     counts = {len(one) for one in people if one.batched} | (set() if isinstance(camera, Camera) else {len(views)})
     if len(counts) > 1 or 0 in counts:
-        raise ValueError(f"cameras and poses are not equally many: {len(views)} and {[len(one) for one in people]}")
+        raise ValueError(f"the numbers of cameras and poses differ: {len(views)} and {[len(one) for one in people]}")
     if not people and scene is None:
         raise ValueError("there is neither a person nor a scene to draw")
     count, first = next(iter(counts), 1), people[0] if people else scene
@@ -122,7 +122,7 @@ def draw(
 
 @dataclass(frozen=True)
 class _Role:
-    """A person as the cast of a frame sees them: frame i is pose i, or their only one."""
+    """A person as an actor of a cast: frame i has pose i, or the only pose."""
 
     person: Person[Any]
 
@@ -145,7 +145,7 @@ class _Role:
 def write_image(path: str | PathLike[str], image: np.ndarray | Tensor) -> None:
     """Write an `image` [H,W,3] of `draw`, clipped to 0 to 1, to a `path` that ends in .png.
 
-    ValueError where a value is not finite, StageError where the file cannot be written.
+    ValueError if a value is not finite, StageError if the file cannot be written.
 
         hugs.write_image("pose.png", hugs.draw(person, camera).image)
     """

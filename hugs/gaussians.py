@@ -28,9 +28,10 @@ Array = TypeVar("Array", np.ndarray, Tensor)
 
 
 class Gaussians(Generic[Array]):
-    """N Gaussians in the world, in metres: a scene, or a person in a pose or in P poses.
+    """N Gaussians in the world, in metres: a scene, or a person in one pose or in P poses.
 
-    Shapes are of one set; of P poses there is a first axis [P,...]. Of what came as arrays all are float32 arrays, else tensors.
+    With P poses each shape has a first axis [P,...]. Attributes are float32 arrays if the Gaussians were made from arrays, else
+    tensors.
 
         scene = hugs.load_scene("scene.ply")
         image, alpha, depth = hugs.draw(None, camera, scene)
@@ -66,7 +67,7 @@ class Gaussians(Generic[Array]):
 
     @property
     def count(self) -> int:
-        """How many Gaussians."""
+        """The number of Gaussians."""
         return len(self.sets[0].means)
 
     def __repr__(self) -> str:
@@ -79,7 +80,7 @@ class Gaussians(Generic[Array]):
 
     @property
     def axes(self) -> Array:
-        """Scaled axes [N,3,3] m as columns: the covariance is axes axes^T."""
+        """Scaled axes [N,3,3] m as columns: the covariance is axes @ axes.T."""
         return self._given([one.axes for one in self.sets])
 
     @property
@@ -89,17 +90,17 @@ class Gaussians(Generic[Array]):
 
     @property
     def quats(self) -> Array:
-        """Rotations [N,4], w x y z, unit. Without gradient, unlike `axes`."""
+        """Rotations [N,4] as unit quaternions w x y z. They have no gradient; `axes` have."""
         return self._given([torch.from_numpy(one.quats) for one in self._factored])
 
     @property
     def scales(self) -> Array:
-        """Standard deviations [N,3] m along the axes of the rotation. Without gradient, unlike `axes`."""
+        """Standard deviations [N,3] m along the axes of the rotation. They have no gradient; `axes` have."""
         return self._given([torch.from_numpy(one.scales) for one in self._factored])
 
     @property
     def sh(self) -> Array:
-        """Spherical harmonics [N,K,3] of the colours in the axes of the world, as in 3DGS files. Without gradient."""
+        """Spherical harmonics [N,K,3] of the colours in the axes of the world, as in 3DGS files. They have no gradient."""
         parts = [np.concatenate([one.sh0[:, None], one.shN], 1) for one in self._factored]
         return self._given([torch.from_numpy(part) for part in parts])
 
@@ -113,15 +114,15 @@ class Gaussians(Generic[Array]):
         return [factored(one) for one in self.sets]
 
     def _given(self, parts: Sequence[Tensor]) -> Array:
-        """The parts of all poses as they are given back."""
+        """The tensors of all poses as one array, or one tensor if the person was posed by tensors."""
         whole = torch.stack(list(parts)) if self.batched else parts[0]
         return cast(Array, whole.detach().cpu().numpy() if self.arrays else whole)
 
 
 class Person(Gaussians[Array]):
-    """A person in a pose, or in P poses at once: joints, body and Gaussians in the world, in metres. `Avatar.pose` makes one.
+    """A person in one pose, or in P poses at once, from `Avatar.pose`: joints, body and Gaussians in the world, in metres.
 
-    Gaussians are moved when they are first asked for: joints alone cost no skinning. `person[i]` is the person in one of P poses.
+    Skinning waits for the first use of the Gaussians, so joints alone are fast. `person[i]` is the person in pose i of P.
 
         wrist = avatar.pose(np.zeros(69)).joints[hugs.JOINT_NAMES.index("left_wrist")]
     """
@@ -146,15 +147,15 @@ class Person(Gaussians[Array]):
 
     @property
     def count(self) -> int:
-        """How many Gaussians."""
+        """The number of Gaussians."""
         return len(self.posed.avatar.resting.means)
 
     def __len__(self) -> int:
-        """How many poses."""
+        """The number of poses."""
         return len(self.posed.transl)
 
     def __getitem__(self, row: int) -> Person[Array]:
-        """The person in one of the P poses; IndexError beyond them, TypeError where there is one pose."""
+        """The person in one of the P poses; IndexError for a number out of range, TypeError if there is one pose only."""
         if not self.batched:
             raise TypeError("the person is in one pose, not in several")
         return Person(self.posed.row(range(len(self))[row]), self.body, self.betas, False, self.arrays)
@@ -168,22 +169,22 @@ class Person(Gaussians[Array]):
     def vertices(self) -> Array:
         """Vertices [V,3] m of the body without clothes, see `Avatar.faces`; differentiable in the pose.
 
-        A run holds its body; of a file the body is known where it is the free one. StageError for others: joints are known then.
+        StageError if the body is unknown: that of a run is always known, that of an exported file only if it is the free body.
         """
         if self.body is None:
             raise StageError(
-                "the body of this avatar is not known, so there are no vertices",
+                "the body of this avatar is unknown, so there are no vertices",
                 "load the folder of its run, which holds the body",
-                ["an exported avatar holds joints and Gaussians, and no template of the body"],
+                ["an exported avatar holds joints and Gaussians, but no template of the body"],
             )
         posed = self.posed
         return self._given(list(self.body(self.betas, posed.global_orient, posed.body_pose, posed.transl)[0]))
 
 
 def load_scene(path: str | PathLike[str], device: str = "cpu") -> Gaussians[Tensor]:
-    """The scene in the file at a `path`, a .ply, .spz or .npz of 3D Gaussians, on `device`.
+    """Load, to `device`, the scene of 3D Gaussians in the .ply, .spz or .npz file at `path`.
 
-    What of it is left out is a UserWarning. StageError, with facts and a hint, for any other file.
+    A UserWarning names what is left out. StageError, with facts and a hint, for any other file.
 
         scene = hugs.load_scene("scene.ply")
     """

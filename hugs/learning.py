@@ -1,4 +1,4 @@
-"""`hugs.train`: what the stage train does, on arrays."""
+"""`hugs.train` does the work of the stage train, on arrays."""
 
 from __future__ import annotations
 
@@ -75,24 +75,24 @@ def train(
     device: str = "auto",
     progress: Hear | None = None,
 ) -> Result:
-    """Train a person, and the scene behind, on arrays: what the stage `train` does with the files of other stages.
+    """Train a person and the scene behind on arrays, as the stage `train` does on files.
 
-    All C frames show one person, in one world of metres.
+    All C frames show one person. Cameras, poses and points are in one world, in metres.
 
     - `images` [C,H,W,3] uint8 without lens distortion, `masks` [C,H,W] bool, or uint8 with 255 for the person.
     - `viewmats` [C,4,4] camera_from_world, OpenCV axes (x right, y down, z forward), m; `Ks` [C,3,3] px, the centre of the first
       pixel at (0.5, 0.5).
-    - `body_pose` [C,69] or [C,23,3], `global_orient` [C,3] rad, `transl` [C,3] m, `betas` [10]: SMPL's. `body_model` is the file of
-      the model that they are of; the free body without it. `confidence` [C]: 0 where a pose is not to be learned from.
-    - `points` [P,3] m and `colors` [P,3] uint8 of the scene, as from SfM; without points the person is trained alone.
-    - `heldout` bool [C]: frames that only measure; every 5th without it.
-    - `effects` that are to be learned: "shadow", "clothing", "view_dependence", "exposure", "camera_refinement" and others of
+    - `body_pose` [C,69] or [C,23,3], `global_orient` [C,3] rad, `transl` [C,3] m, `betas` [10]: poses and shape of SMPL.
+      `body_model`: the file of their body model; the free body by default. `confidence` [C]: 0 excludes a frame from training.
+    - `points` [P,3] m and `colors` [P,3] uint8 of the scene, for example from SfM; without points the person is trained alone.
+    - `heldout` bool [C]: frames on which accuracy is measured; by default every 5th.
+    - `effects`: those to learn, "shadow", "clothing", "view_dependence", "exposure", "camera_refinement" and others of
       docs/effects.md; no detector decides.
-    - `settings` of the stage, as {"steps": 400}; `hugs stages train` lists them.
-    - `seed` of all random numbers. `device`: "auto", "cpu" or "cuda".
+    - `settings`: of the stage, for example {"steps": 400}; `hugs stages train` lists them.
+    - `seed`: of all random numbers. `device`: "auto", "cpu" or "cuda". `progress`: called with a `Progress`.
 
-    Trains in this process, and `progress` hears how far it is. StageError, with facts and a hint, for arrays that do not fit each
-    other and where training breaks down; pydantic's ValidationError, a ValueError, for settings.
+    The training runs in this process. StageError, with facts and a hint, if the arrays do not fit each other or the training
+    breaks down; pydantic's ValidationError, a ValueError, for wrong settings.
 
         result = hugs.train(images, masks, viewmats, Ks, body_pose, global_orient, transl, settings={"steps": 400})
     """
@@ -111,7 +111,7 @@ def train(
 
 
 def _clip(given: Mapping[str, ArrayLike | None], body_model: str | PathLike[str] | None) -> _Arrays:
-    """The clip that arrays are of, by the names that `train` gives them; StageError where one does not fit."""
+    """The clip made of the arguments of `train`, by name; StageError if one does not fit."""
     images = _array("images", given["images"], None, None, None, 3, kinds="u")
     count, height, width, _ = images.shape
     masks = _array("masks", given["masks"], count, height, width, kinds="bu")
@@ -148,7 +148,7 @@ def _clip(given: Mapping[str, ArrayLike | None], body_model: str | PathLike[str]
 
 
 def _array(name: str, given: ArrayLike | None, *shape: int | None, kinds: str = "fiu") -> np.ndarray:
-    """The array, finite, of that shape (None: any length) and of a kind of numbers: float, integer, byte (u), bool."""
+    """`given` as an array; StageError if it is not finite or has another shape (None: any length) or kind of numbers."""
     array = np.asarray(given)
     fits = array.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, array.shape, strict=True))
     if not fits or array.dtype.kind not in kinds or ("f" not in kinds and array.dtype.itemsize > 1):
@@ -164,10 +164,9 @@ def _array(name: str, given: ArrayLike | None, *shape: int | None, kinds: str = 
 
 
 def save(result: Result, folder: str | PathLike[str]) -> Path:
-    """Write a `result` of `hugs.train` into a `folder`, which is returned: avatar.npz, scene.npz, body.npz, curve.csv, train.json.
+    """Write a `result` of `hugs.train` to a `folder` (avatar.npz, scene.npz, body.npz, curve.csv, train.json); returns the folder.
 
-    `hugs.load` reads avatar.npz, as all that takes an avatar does; `hugs.load_scene` reads scene.npz. OSError where the folder
-    cannot be written.
+    `hugs.load` and the commands read avatar.npz, `hugs.load_scene` reads scene.npz. OSError if the folder cannot be written.
 
         hugs.save(result, "mine")
     """

@@ -1,4 +1,4 @@
-"""`hugs.export`, `hugs.animate`, `hugs.compose`: what the commands of these names do."""
+"""`hugs.export`, `hugs.animate` and `hugs.compose` work like the commands of these names."""
 
 from __future__ import annotations
 
@@ -35,15 +35,16 @@ def export(
     progress: Hear | None = None,
     pipelines_file: Pathish | None = None,
 ) -> list[Path]:
-    """Write avatar and scene of a finished run into the folder `out`, as `hugs export` does, and return what was written.
+    """Write avatar and scene of a finished run to the folder `out`, as `hugs export` does, and return the paths of the files.
 
-    - `run`: its folder, as "work/dance/default", or what `hugs.load` makes of it; its own export stays as it is.
-    - `formats`: as ["ply", "glb", "bvh"], see docs/exports.md; those of the run without them. `settings` of the stage, as
-      {"names": "mixamo", "triangles": 5000}; `hugs stages export` lists all.
-    - `force`: write over files that others made. `device`: "auto", "cpu" or "cuda". `progress` hears how far it is.
-    - `pipelines_file`: the run's, where it is not pipelines.yaml.
+    - `run`: the folder of a run, such as "work/dance/default", or an avatar that `hugs.load` read from it. The run's own export
+      does not change.
+    - `formats`: for example ["ply", "glb", "bvh"], see docs/exports.md; by default those of the run. `settings`: of the stage,
+      for example {"names": "mixamo", "triangles": 5000}; `hugs stages export` lists all.
+    - `force`: overwrite files that others made. `device`: "auto", "cpu" or "cuda". `progress`: called with a `Progress`.
+    - `pipelines_file`: the file of the run's pipeline; by default pipelines.yaml.
 
-    StageError, with facts and a hint, for a run that is not finished and a file that may not be written over.
+    StageError, with facts and a hint, if the run is not finished, or if a file may not be overwritten.
 
         hugs.export("work/dance/default", "out", formats=["glb", "ply"])
     """
@@ -70,17 +71,17 @@ def animate(
     device: str = "auto",
     progress: Hear | None = None,
 ) -> Path:
-    """Let a person perform a motion file, as `hugs animate` does, and return the path of the film.
+    """Make a film in which a person performs a motion file, as `hugs animate` does, and return the path of the film.
 
-    - `person`: the folder of a run, as "work/dance/default", the file of an avatar, or what `hugs.load` makes of these.
-    - `who` of the people of a run, from 1 on.
-    - `motion`: a .bvh of any skeleton, or an .npz of SMPL poses. `out`: an .mp4, of `fps` frames a second.
-    - `scene`: the folder of another run, or a .ply, .spz or .npz; their own without it. `at` [3] m: where the soles stand in it.
-    - `only`: "both", or "human" over white. `camera`: a kind, as in a film, or an .npz as for `hugs render`.
-    - `settings` of the person, as {"motion_fps": 60, "up": "z"}: those that docs/films.md lists under `people`.
-    - `force`: write over a file that others made. `device`: "auto", "cpu" or "cuda". `progress` hears how far it is.
+    - `person`: the folder of a run, such as "work/dance/default", the file of an avatar, or an avatar that `hugs.load` read.
+    - `who`: the number of the person in a run, from 1 on.
+    - `motion`: a .bvh of any skeleton, or an .npz of SMPL poses. `out`: the .mp4 to write, with `fps` frames a second.
+    - `scene`: the folder of another run, or a .ply, .spz or .npz; by default the person's own. `at` [3] m: the place of the soles.
+    - `only`: "both", or "human" over white. `camera`: a kind of docs/films.md, or an .npz as for `hugs render`.
+    - `settings`: keys of a person in docs/films.md, for example {"motion_fps": 60, "up": "z"}.
+    - `force`: overwrite a file that others made. `device`: "auto", "cpu" or "cuda". `progress`: called with a `Progress`.
 
-    StageError, with facts and a hint, for a run that is not finished, and files that cannot be read or may not be written over.
+    StageError, with facts and a hint, if the run is not finished, or if a file cannot be read or may not be overwritten.
 
         hugs.animate("work/dance/default", "moves.bvh", "dance-moves.mp4")
     """
@@ -100,14 +101,14 @@ def compose(
     device: str = "auto",
     progress: Hear | None = None,
 ) -> list[Path]:
-    """Put people of several clips into one scene, as `hugs compose` does, and return the paths of what was made.
+    """Put people of several clips into one scene, as `hugs compose` does, and return the paths of the files.
 
-    - `film`: a film.yaml, or a mapping with its keys (docs/films.md) and paths from the current folder. Of a file, what is as it
-      was is not made again.
-    - `work`: where pieces of a film are kept. `force`: write over files that others made.
-    - `device`: "auto", "cpu" or "cuda". `progress` hears how far it is.
+    - `film`: a film.yaml, or a mapping with the same keys (docs/films.md) and paths relative to the current folder. Outputs of a
+      film.yaml that are up to date are not made again.
+    - `work`: the folder in which pieces of films are kept. `force`: overwrite files that others made.
+    - `device`: "auto", "cpu" or "cuda". `progress`: called with a `Progress`.
 
-    StageError, with facts and a hint, for unknown keys, runs that are not finished and files that may not be written over.
+    StageError, with facts and a hint, for unknown keys, for runs that are not finished and for files that may not be overwritten.
 
         hugs.compose("film.yaml")
         ann = {"avatar": "avatar.npz", "motion": "wave"}
@@ -123,7 +124,7 @@ def compose(
 
 
 def _run(folder: Path, file: Path) -> tuple[Path, RunOptions]:
-    """The clip and the options of a run's folder; UsageError where no run has made it."""
+    """The clip and the options of a run, from its folder; UsageError if it is not the folder of a run."""
     place = folder.absolute()
     known = read_json(place.parent / "sources.json").get("video")
     if not isinstance(known, dict) or not isinstance(known.get("path"), str):
@@ -133,12 +134,12 @@ def _run(folder: Path, file: Path) -> tuple[Path, RunOptions]:
 
 
 def _work(person: Path) -> Path:
-    """The work folder of a run, or the usual one for a file."""
+    """The work folder of a run; "work" for the file of an avatar."""
     return person.absolute().parents[1] if person.is_dir() else WORK
 
 
 def _place(given: Pathish | Avatar) -> Path:
-    """Where an avatar is from; UsageError where it is from no file."""
+    """The folder or file of an avatar; UsageError if it was made in memory."""
     place = Path(given) if isinstance(given, str | PathLike) else given.path
     if place is None:
         raise UsageError("this avatar is from no file", "give the folder of a run, such as work/dance/default")

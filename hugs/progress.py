@@ -1,4 +1,4 @@
-"""How far a call is, for whoever asks: what a command prints, as values."""
+"""The progress of a call from Python: the values that a command prints."""
 
 from __future__ import annotations
 
@@ -15,41 +15,41 @@ from hugs_cli.console import ENDINGS, Console
 
 @dataclass(frozen=True)
 class Progress:
-    """How far `run`, `train`, `export`, `animate` or `compose` is: what their `progress` is called with.
+    """The progress of `run`, `train`, `export`, `animate` or `compose`: the argument of their callback `progress`.
 
-    A stage that runs calls a few times a second.
+    While a stage runs, the callback is called a few times a second.
 
         hugs.run("dance.mp4", progress=lambda now: print(now.stage, now.left))
     """
 
     stage: str = ""
-    """The stage that this is about; '' where a sentence is about all."""
+    """The name of the stage; '' for a sentence about the whole call."""
     state: str = ""
-    """'cached', 'running', 'done', 'failed' or 'stopped'; '' with a sentence alone."""
+    """'cached', 'running', 'done', 'failed' or 'stopped'; '' for a sentence alone."""
     done: int = 0
-    """Steps of the stage that are finished."""
+    """Finished steps of the stage."""
     total: int = 0
-    """Of so many; 0 where the stage does not count."""
+    """All steps of the stage; 0 if the stage does not count steps."""
     left: float | None = None
-    """Seconds to go, of all stages; None while that is unknown."""
+    """Seconds until all stages are done; None if unknown."""
     numbers: Mapping[str, Any] = field(default_factory=dict)
-    """What is worth seeing of the stage, by name: `psnr` in dB, `gaussians`."""
+    """Current numbers of the stage by name, such as `psnr` in dB or `gaussians`."""
     said: tuple[str, ...] = ()
-    """Sentences: notes and warnings of a stage that has ended, and what else a command would print."""
+    """Sentences that a command would print, such as notes and warnings of a finished stage."""
 
 
 Hear = Callable[[Progress], object]
 
 
 class Listener(Console):
-    """The console of a call from Python: all goes to `hear`, nothing is printed."""
+    """The console of a call from Python: it calls `hear` and prints nothing."""
 
     def __init__(self, hear: Hear):
         super().__init__(io.StringIO(), io.StringIO())
         self.hear = hear
 
     def say(self, text: str, before: str = "") -> None:
-        """A sentence."""
+        """Pass a sentence on."""
         self.hear(Progress(said=(f"{before}{text}".strip(),)))
 
     def cached(self, stage: str, stamp: Stamp) -> None:
@@ -57,25 +57,25 @@ class Listener(Console):
         self.hear(Progress(stage, "cached", said=tuple(stamp.warnings)))
 
     def draw(self, stage: str) -> None:
-        """How far the running stage is."""
+        """Pass on the progress of the running stage."""
         now, event = self.clock(), self.progress.event
         left = self.countdown.left(stage, self.progress, now) if self.countdown else self.progress.left(now)
         done, total = event.get("done", 0), event.get("total", 0)
         self.hear(Progress(stage, "running", done, total, left, event.get("numbers", {})))
 
     def ended(self, stage: str, outcome: Outcome) -> None:
-        """A stage has ended."""
+        """Pass on that a stage has ended."""
         if self.countdown:
             self.countdown.ended(stage, self.clock())
         self.hear(Progress(stage, ENDINGS.get(outcome.kind, "failed"), said=(*outcome.notes, *outcome.warnings)))
 
     def started(self, stage: str, reasons: tuple[Reason, ...]) -> None:
-        """A stage begins, for `reasons`, which are sentences."""
+        """Pass on why a stage starts."""
         super().started(stage, reasons)
         if self.reasons:
             self.say(f"{stage}: {self.reasons}")
 
 
 def console_for(progress: Hear | None) -> Console:
-    """Where a call's lines go: to `progress`, or, without it, to stderr as the command's do."""
+    """The console that calls `progress`; without `progress` one that prints to stderr, as commands do."""
     return Listener(progress) if progress else Console()

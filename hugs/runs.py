@@ -1,4 +1,4 @@
-"""`hugs.run`: what the command `hugs run` does."""
+"""`hugs.run` works like the command `hugs run`."""
 
 from __future__ import annotations
 
@@ -42,22 +42,22 @@ def run(
     force: bool = False,
     pipelines_file: Pathish | None = None,
 ) -> Avatar:
-    """Run a pipeline on a clip, as `hugs run` does, and load what it leaves, as `hugs.load` of its folder does.
+    """Run a pipeline on a clip, as `hugs run` does, and return the avatar, as `hugs.load` of the run's folder does.
 
-    The results lie where the command keeps them, `WORK/CLIP/PIPELINE`, and what is fresh there is not made again. Each stage
-    runs in a process of its own, so neither a notebook nor a script needs anything around the call. `progress` is called with
+    The results are in the command's folder, `WORK/CLIP/PIPELINE`, and fresh results there are reused. Each stage
+    runs in a process of its own, so a script needs no `if __name__ == "__main__"`. `progress` is called with
     a `Progress`; without it the lines of the command go to stderr. Ctrl-C stops the stage and raises KeyboardInterrupt:
-    finished stages are kept, and the next call goes on.
+    finished stages are kept, and the next call continues.
 
-    - `video`: a video, a folder of pictures, or of a data set. `pipeline`: one of pipelines.yaml, or of `pipelines_file`.
-    - `work`: the folder of all results. `settings` by stage and name, as {"train.steps": 4000}; `hugs stages` lists them.
+    - `video`: a video, a folder of pictures, or the folder of a data set. `pipeline`: a name in pipelines.yaml or `pipelines_file`.
+    - `work`: the folder of all results. `settings`: by stage and name, for example {"train.steps": 4000}; `hugs stages` lists them.
     - `masks`, `cameras`, `smpl_fit`, `landmarks`, `body_model`: files of other programs, see docs/inputs.md.
-    - `person`: whom to follow where several are in view; "all": each.
-    - `height`: how tall, barefoot, in m or as "6ft1"; of several people in their order. `scale`: a length of the page and the true
-      one, as "2.31=2.00", or "cameras".
-    - `seed` of all random numbers. `device`: "auto", "cpu" or "cuda". `force`: run all stages again.
+    - `person`: the id of the person to follow, if several are in view; "all" makes an avatar of each.
+    - `height`: of the person, barefoot, in m or as "6ft1"; a list for several people, in order. `scale`: a length on the page and
+      its true length, for example "2.31=2.00"; or "cameras".
+    - `seed`: of all random numbers. `device`: "auto", "cpu" or "cuda". `force`: run all stages again.
 
-    StageError, with the facts and the hint that the command prints; KeyboardInterrupt where it was asked to stop.
+    StageError, with the facts and the hint that the command prints; KeyboardInterrupt after Ctrl-C.
 
         avatar = hugs.run("dance.mp4", settings={"train.steps": 4000}, progress=print)
     """
@@ -85,7 +85,7 @@ def run(
 
 
 def _finish(given: RunOptions, video: Path, device: str, force: bool, progress: Hear | None) -> Path:
-    """Bring all stages up to date; the folder of their links."""
+    """Bring all stages up to date; returns the folder of their links."""
     session = given.session(video)
     wanted = list(session.pipeline.stages)
     session.check_sources()
@@ -106,7 +106,7 @@ def _path(given: Pathish | None) -> Path | None:
 
 
 def _texts(given: str | float | Sequence[str | float] | None) -> list[str] | None:
-    """One value, or several, as they are written on a command line."""
+    """One value or several as texts, as on a command line."""
     if given is None:
         return None
     return [str(one) for one in ([given] if isinstance(given, str | int | float) else given)]

@@ -99,7 +99,8 @@ def run(
     dry_run: DryRun = False,
     as_json: AsJson = False,
     within: Annotated[
-        str | None, Option(metavar="TIME", help="Train for what is left of 10m, 1h30m; results go to PIPELINE.TIME.")
+        str | None,
+        Option(metavar="TIME", help="Finish within a time such as 10m or 1h30m; results go to PIPELINE.TIME."),
     ] = None,
 ) -> None:
     """Run the pipeline; finished stages are reused.
@@ -237,7 +238,7 @@ def demo(
 ) -> None:
     """Make a synthetic clip and run a pipeline on it.
 
-    The truth about the clip lies beside it in truth/.
+    The folder truth/ beside the clip holds its true cameras and poses.
     """
     from hugs_cli.demo import synthetic_clip
 
@@ -250,7 +251,7 @@ def doctor(
     fetch: Annotated[bool, Option("--fetch", help="Download missing model files.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Check the installation and say how to get what is missing."""
+    """Check the installation, and print how to get what is missing."""
     from hugs_cli.doctor import examine, fetch_missing
 
     console = Console()

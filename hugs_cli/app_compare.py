@@ -65,7 +65,7 @@ def costs(
 ) -> None:
     """Compare time and accuracy of pipelines or settings.
 
-    Without --sweep: the pipelines that were run on a clip. With it: one setting at a time is varied, and trained.
+    Without --sweep it compares the pipelines that were run on a clip. With --sweep it varies one setting at a time and trains.
     """
     console = Console()
     session = given.of_last_run(video, console).session(video)

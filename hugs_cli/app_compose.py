@@ -34,7 +34,7 @@ def compose(
     films_: Annotated[
         list[Path] | None,
         Argument(
-            metavar="FILM | RUN...", help="The film, a .yaml; with --init runs or exported avatars.", show_default=False
+            metavar="FILM | RUN...", help="The film (.yaml); with --init runs or exported avatars.", show_default=False
         ),
     ] = None,
     init: Annotated[
@@ -42,16 +42,16 @@ def compose(
     ] = False,
     out: Annotated[Path, Option(help="With --init: the film to write.")] = Path(FIRST),
     force: Annotated[
-        bool, Option("--force", help="Write over what others made; never over a source or a result.")
+        bool, Option("--force", help="Overwrite files that others made; never a source or a result.")
     ] = False,
     device: DeviceName = Device.auto,
     work: Work = Path("work"),
 ) -> None:
     """Put people of several clips into one scene.
 
-    `hugs compose --init work/kitchen/default work/dance/default` writes film.yaml, with places and a camera that show all of them
-    where there are such; `hugs compose film.yaml` makes it: a film, pictures, a page, files for other programs. What is as it was
-    is not made again; a film that was cut short goes on.
+    `hugs compose --init work/kitchen/default work/dance/default` writes film.yaml, if possible with places and a camera that show
+    everybody. `hugs compose film.yaml` makes a film, pictures, a page or files for other programs. Outputs that are up to date are
+    not made again; a film that was interrupted continues.
     """
     given = films_ or []
     if init:
@@ -115,10 +115,10 @@ people:
 {people}
 camera: {camera}              # clip, still, follow (of the scene's clip), orbit, before, auto (one that shows them), or an .npz
 light: auto               # auto: as the scene's own light falls; above; off
-colour: off               # match people to the scene: off, auto (where clips differ clearly and tell their light), always
+colour: off               # match people to the scene: off, auto (if clips differ clearly and their light is known), always
 fps: 30
-# seconds: 8              # as long as the longest motion, if not said
-# size: [640, 360]        # that of the scene's clip, if not said; of another shape, it shows a part of what the clip does
+# seconds: 8              # by default as long as the longest motion
+# size: [640, 360]        # by default that of the scene's clip; a size of another shape shows a part of its picture
 # moment: 2.0             # second of the film that `splats` shows
 
 out:
@@ -151,7 +151,7 @@ def begin(runs: list[Path], out: Path, force: bool, device: str, work: Path) -> 
     if not runs:
         raise UsageError("nobody to make a film of", "`hugs compose --init work/kitchen/default work/dance/default`")
     if out.exists() and not force:
-        raise UsageError(f"{out} is already there", "choose another `--out`, or write over it with `--force`")
+        raise UsageError(f"{out} is already there", "choose another `--out`, or overwrite it with `--force`")
     check_out(out, work, runs, force=True)
     if out.suffix.lower() not in (".yaml", ".yml"):
         raise UsageError(f"cannot write {out}: a film is a .yaml", "`--out film.yaml`")

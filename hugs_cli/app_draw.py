@@ -35,10 +35,10 @@ SceneFile = Annotated[
     ),
 ]
 SceneAxes = Annotated[
-    options.Axes, Option("--scene-axes", help="Of the --scene file: y_down, as trainers write it, or y_up.")
+    options.Axes, Option("--scene-axes", help="Axes of the --scene file: y_down, as trainers write it, or y_up.")
 ]
-Who = Annotated[int, Option(min=1, help="Which of the people of VIDEO, where its run has several.")]
-Overwrite = Annotated[bool, Option("--force", help="Write over what others made; never over a source or a result.")]
+Who = Annotated[int, Option(min=1, help="Number of the person, if the run of VIDEO has several.")]
+Overwrite = Annotated[bool, Option("--force", help="Overwrite files that others made; never a source or a result.")]
 
 
 def render(
@@ -48,7 +48,7 @@ def render(
         Path | None,
         Option(help="Views to draw (npz: viewmats [C,4,4], Ks [C,3,3], width, height; the clip's world)."),
     ] = None,
-    poses: Annotated[Path | None, Option(help="Body poses (npz); the clip's own if none.")] = None,
+    poses: Annotated[Path | None, Option(help="Body poses (npz); by default the clip's.")] = None,
     avatar: AvatarFile = None,
     scene: SceneFile = None,
     scene_axes: SceneAxes = options.Axes.y_down,
@@ -61,8 +61,8 @@ def render(
 ) -> None:
     """Render the result for your own cameras and poses.
 
-    An exported avatar (--avatar) without cameras is drawn from all sides. Pictures that it made itself are drawn again;
-    a folder with anything else in it needs --force.
+    An exported avatar (--avatar) without cameras is drawn from all sides. It overwrites its own pictures;
+    a folder with other files needs --force.
     """
     check_source(video, avatar, who)
     if cameras is None and (avatar is None or scene is not None):
@@ -109,14 +109,16 @@ def animate(
         str | None,
         Option(
             metavar="KIND|FILE",
-            help="clip, still, follow, orbit or before, as in a film; or a file as for render, one camera or one a frame.",
+            help="clip, still, follow, orbit or before, as in a film; or a file as for render, with a camera, or one a frame.",
             show_default="the clip's; before, where that sees backs",
         ),
     ] = None,
     motion_fps: Annotated[
-        float | None, Option(min=0.1, max=10_000, help="Frames a second of the motion; the file's if none.")
+        float | None, Option(min=0.1, max=10_000, help="Frames a second of the motion; by default the file's.")
     ] = None,
-    up: Annotated[options.Up | None, Option(help="Up in the file; where pelvises point if none.")] = None,
+    up: Annotated[
+        options.Up | None, Option(help="Axis that points up in the motion file; by default that of the pelvis.")
+    ] = None,
     face: Annotated[Path | None, Option(help="A face capture (csv): a time and the 52 shapes.")] = None,
     force: Overwrite = False,
     pipeline: AnyPipeline = None,
@@ -125,8 +127,8 @@ def animate(
 ) -> None:
     """Let the person perform a motion file.
 
-    `hugs animate VIDEO MOTION`, or `hugs animate --avatar FILE MOTION`. They stand where they stood in the clip, or in
-    the scene of another run: `--scene work/kitchen/default`. No network runs. A video that it made itself is drawn again;
+    `hugs animate VIDEO MOTION`, or `hugs animate --avatar FILE MOTION`. The person stands where they stood in the clip, or in
+    the scene of another run: `--scene work/kitchen/default`. No network runs. It overwrites its own videos;
     any other file needs --force.
     """
     if avatar is not None and motion is None:

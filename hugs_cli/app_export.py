@@ -34,12 +34,15 @@ def export(
     video: options.Video,
     out: Annotated[Path, Option(help="Folder for the files.")],
     formats: Annotated[
-        str | None, Option(help="What to write, as `ply,glb,usd`; `hugs stages export` lists all.", show_default=False)
+        str | None,
+        Option(help="What to write, such as `ply,glb,usd`; `hugs stages export` lists all.", show_default=False),
     ] = None,
     names: Annotated[str | None, Option(help="Names of joints: smpl, mixamo, vrm, unreal.")] = None,
     motion: Annotated[str | None, Option(help="Motion of bvh and ..._motion: clip, wave, all and others.")] = None,
-    triangles: Annotated[int | None, Option(help="Triangles of the mesh, about.", show_default="20000")] = None,
-    texture: Annotated[int | None, Option(help="Width of its texture, px.", show_default="2048")] = None,
+    triangles: Annotated[
+        int | None, Option(help="Approximate number of triangles of the mesh.", show_default="20000")
+    ] = None,
+    texture: Annotated[int | None, Option(help="Width of the mesh's texture, px.", show_default="2048")] = None,
     spz_axes: Annotated[options.Axes | None, Option(help="Which way y points in .spz; y_down as in a .ply.")] = None,
     set_: Settings = None,
     force: Overwrite = False,
@@ -50,7 +53,7 @@ def export(
 ) -> None:
     """Write avatar and scene of a finished run into a folder of yours.
 
-    With other settings than the run's where some are given; its own export stays as it is.
+    Options change the run's settings for these files; the run's own export does not change.
     """
     asked = {
         "names": names,

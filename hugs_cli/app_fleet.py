@@ -35,17 +35,19 @@ def fleet(
     ],
     jobs: Annotated[
         int | None,
-        Option(min=1, help="Clips at a time, at most.", show_default="what memory and processors allow"),
+        Option(min=1, help="Most clips at a time.", show_default="what memory and processors allow"),
     ] = None,
     profile: Annotated[
         str | None, Option(metavar="FOLDER", help="A Snakemake profile, for a cluster; slurm is an example.")
     ] = None,
-    split: Annotated[Split | None, Option(help="Two jobs a clip: what comes before training, and the rest.")] = None,
+    split: Annotated[
+        Split | None, Option(help="Make two jobs of each clip: stages before training, and the rest.")
+    ] = None,
     keep: Annotated[
-        str | None, Option(metavar="STAGES", help="Of a clip that is done keep these results, as export,evaluate.")
+        str | None, Option(metavar="STAGES", help="Results to keep of a finished clip, such as export,evaluate.")
     ] = None,
     only_failed: Annotated[bool, Option("--only-failed", help="Only the clips that failed in the last call.")] = False,
-    name: Annotated[str, Option(help="Of the page, NAME.html in the work folder.")] = "fleet",
+    name: Annotated[str, Option(help="Name of the page: NAME.html in the work folder.")] = "fleet",
     device: DeviceName = options.Device.auto,
     dry_run: DryRun = False,
     as_json: AsJson = False,
@@ -57,8 +59,8 @@ def fleet(
 ) -> None:
     """Run many clips, side by side or on a cluster.
 
-    What is fresh is left out, a clip that fails stops no other, and a second call does what is left.
-    The page fleet.html in the work folder shows how far each clip is.
+    Fresh results are reused, a clip that fails stops no other, and a second call does the rest.
+    The page fleet.html in the work folder shows the progress of each clip.
     """
     from hugs_cli.fleet import board, history, plan, runner
     from hugs_cli.fleet.clips import read

@@ -92,7 +92,7 @@ def list_stages(
 def view(
     video: options.Video,
     open_: Annotated[
-        bool, Option("--open/--no-open", help="Open it in the default browser, or only say where it is.")
+        bool, Option("--open/--no-open", help="Open it in the default browser, or only print its path.")
     ] = True,
     pipeline: AnyPipeline = None,
     work: Work = Path("work"),
@@ -107,7 +107,7 @@ def view(
     page = Workspace(video, work, pipeline).links / "export" / PAGE
     if not page.is_file():
         command = words.command("run", video, "export", pipeline=pipeline, work=work)
-        facts = ["it was written without `viewer` in `export.formats`, or by a hugs that had no page"]
+        facts = ["it was written without `viewer` in `export.formats`, or by an older version of hugs"]
         raise UsageError(f"the export of {video.name} holds no {PAGE}", f"`{command}`", facts)
     if open_ and not webbrowser.open(page.absolute().as_uri()):
         console.say("no browser was found to open it with")

@@ -64,8 +64,10 @@ class Up(StrEnum):
     minus_z = "-z"
 
 
-Video = Annotated[Path, Argument(help="A video, a folder of pictures, or of a data set.", show_default=False)]
-Stages = Annotated[list[str] | None, Argument(help="Stages of the pipeline; all if none.", show_default=False)]
+Video = Annotated[
+    Path, Argument(help="A video, a folder of pictures, or the folder of a data set.", show_default=False)
+]
+Stages = Annotated[list[str] | None, Argument(help="Stages of the pipeline; by default all.", show_default=False)]
 WHICH = Option("--pipeline", "-p", help="One of pipelines.yaml.", show_default="default")
 PipelineName = Annotated[str, WHICH]
 AnyPipeline = Annotated[str | None, WHICH]
@@ -80,7 +82,7 @@ Seed = Annotated[
 ]
 AsJson = Annotated[bool, Option("--json", help="Print the result as JSON.")]
 DryRun = Annotated[bool, Option("--dry-run", help="Only show the plan.")]
-Force = Annotated[bool, Option("--force", help="Run the named stages (all if none) again.")]
+Force = Annotated[bool, Option("--force", help="Run the named stages again; by default all.")]
 DeviceName = Annotated[Device, Option(help="auto: the GPU if there is one that torch and gsplat can use.")]
 
 
@@ -94,7 +96,7 @@ class Kept:
         None
     )
     person: Annotated[
-        str | None, Option(help="Which of several people, by the id that the run lists; all: an avatar of each.")
+        str | None, Option(help="Id of the person to follow, as the run lists them; all: an avatar of each.")
     ] = None
     cameras: Annotated[Path | None, Option(help="Cameras to import: a COLMAP model's folder, or transforms.json.")] = (
         None
@@ -115,7 +117,7 @@ class Kept:
         str | None,
         Option(
             metavar="SHOWN=TRUE",
-            help="A length as the page shows it, and its true metres; or `cameras`, if those are in metres.",
+            help="A length on the page and its true length in m; or `cameras`, if the given cameras are in metres.",
         ),
     ] = None
     seed: Seed = None
@@ -169,10 +171,10 @@ class RunOptions(Kept):
         settings = {name: stage.settings() for name, stage in pipeline.stages.items()}
         size, masks = settings.get("smpl", {}), settings.get("masks", {})
         if masks.get("person") != EVERYBODY and (others := [who for who in size.get("height") or () if int(who) > 1]):
-            hint = "`--person all` makes an avatar of each; who is followed alone is person 1"
-            raise UsageError(f"a height is given of person {others[0]}, and one person is followed", hint)
+            hint = "`--person all` makes an avatar of each; a person who is followed alone has the number 1"
+            raise UsageError(f"a height is given for person {others[0]}, but only one person is followed", hint)
         if size.get("scale") == "cameras" and not self.cameras and "cameras" in pipeline.stages["sfm"].needs:
-            raise UsageError("--scale cameras is of cameras that are given", "give them with `--cameras PATH`")
+            raise UsageError("--scale cameras needs given cameras", "give them with `--cameras PATH`")
 
     def of_last_run(self, video: Path, console: Console) -> RunOptions:
         """With the options of the pipeline's last run, where no others are given; a line says which those are."""
@@ -181,7 +183,7 @@ class RunOptions(Kept):
             last = kept_options(Workspace(video, self.work, name).links / OPTIONS)
         except (OSError, ValueError) as error:
             why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
-            console.say(f"the options of the last run of {name} cannot be read and are not taken: {why}")
+            console.say(f"the options of the last run of {name} cannot be read and are ignored: {why}")
             return self
         if last is None:
             return self

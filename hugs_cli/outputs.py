@@ -44,7 +44,7 @@ def check_out(out: Path, work: Path, given: Iterable[Path | None], force: bool, 
         content_digest(file) not in known.get(name_of(file), ()) for file in files_under(out).values()
     ):
         facts = ["`hugs` did not write it, or it has changed since"]
-        raise UsageError(f"{out} is already there", f"{ELSEWHERE}, or write over it with `--force`", facts)
+        raise UsageError(f"{out} is already there", f"{ELSEWHERE}, or overwrite it with `--force`", facts)
 
 
 def protected(work: Path, given: Iterable[Path | None], place: Path) -> Iterator[tuple[str, Path]]:

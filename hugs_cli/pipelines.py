@@ -74,7 +74,7 @@ class Pipeline:
         found, open_ = set(), list(wanted)
         for name in open_:
             if name not in self.stages and not NAME.fullmatch(name):
-                hint = "`hugs fleet` takes several; of one clip in pictures give the folder"
+                hint = "`hugs fleet` takes several clips; if these are pictures of one clip, give their folder"
                 raise UsageError(f"{name} is no stage of pipeline {self.name}: one clip is taken at a time", hint)
             if name not in self.stages:
                 raise unknown("stage", name, self.stages, f"pipeline {self.name}")
@@ -124,7 +124,7 @@ def names(file: Path = FILE) -> dict[str, str]:
 
 def document(file: Path, hint: str, most: int = plain_yaml.MOST) -> Any:
     """What a YAML file of at most so many values holds; UsageError where it cannot be read."""
-    return read_text(text_of(file, hint), f"{file} is not valid YAML", "mend what is named above", most)
+    return read_text(text_of(file, hint), f"{file} is not valid YAML", "correct what is named above", most)
 
 
 def text_of(file: Path, hint: str) -> str:
@@ -236,7 +236,7 @@ def module_of(name: str, where: str) -> StageModule:
     except ModuleNotFoundError as error:
         if not error.name or not f"{name}.".startswith(f"{error.name}."):
             raise
-        raise UsageError(f"{where}: there is no module {name}", "write it, or mend the name") from error
+        raise UsageError(f"{where}: there is no module {name}", "write it, or correct the name") from error
 
 
 def checked(kind: type[Params], values: dict[str, Any], stage: str, pipeline: str) -> Params:

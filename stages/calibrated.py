@@ -28,7 +28,7 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
 
     given = frames / GIVEN
     if given_by(frames, "cameras.npz") is None:
-        raise StageError("no cameras came with these frames", "take `stages.sfm` for the frames of a video")
+        raise StageError("no cameras came with these frames", "use `stages.sfm` for the frames of a video")
     cameras, listing = read_cameras(given / "cameras.npz"), read_facts(frames / "frames.json", DatasetListing)
     rows = {row.name: (row.split, row.moment) for row in listing.frames}
     if strangers := [name for name in cameras.names if name not in rows]:

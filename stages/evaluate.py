@@ -49,9 +49,9 @@ EQUAL = 100.0  # dB that stand for equal pictures: JSON knows no infinity
 
 class Params(contract.Params):
     fit_steps: int = Field(30, ge=0)
-    """Steps by which a held-out pose is fitted to its picture for the second protocol; 0 = without it."""
+    """Steps in which a held-out pose is fitted to its picture, for the second protocol; 0 = no second protocol."""
     masked: bool = False
-    """Rate the person cut out by the mask, over black, too: what is usual on ZJU-MoCap."""
+    """Also measure the masked person over black, as is usual on ZJU-MoCap."""
 
 
 SHORTER = {"fit_steps": 0}

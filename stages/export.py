@@ -37,19 +37,19 @@ class Params(contract.Params):
     skeleton; usd needs the extra `usd`, sog the extra `sog`; bvh is the clip's motion, and also `motion` where that is another;
     ..._motion is a file, or a folder of numbered files, of the person in `motion`."""
     names: Literal["smpl", "mixamo", "vrm", "unreal"] = "smpl"
-    """What the joints in avatar.glb, avatar.vrm and motion.bvh are called."""
+    """Names of the joints in avatar.glb, avatar.vrm and motion.bvh."""
     triangles: int = Field(20_000, ge=200, le=200_000)
-    """Triangles of the mesh in avatar.glb and avatar.vrm, about."""
+    """Approximate number of triangles of the mesh in avatar.glb and avatar.vrm."""
     texture: int = Field(2048, ge=64, le=8192)
-    """Width and height of its texture, px."""
+    """Width and height of the mesh's texture, px."""
     motion: Literal["clip", "jumping_jacks", "walk_in_place", "wave", "squats", "all"] = "clip"
-    """The motion of the formats bvh and ..._motion; clip: the clip's own; all: that and the made ones."""
+    """Motion in the formats bvh and ..._motion; clip: the clip's own; all: that and the generated ones."""
     vrm: VrmMeta = VrmMeta()
-    """What avatar.vrm says of itself and who may do what with it: name, authors, avatar_permission and others."""
+    """Name, authors and permissions in avatar.vrm."""
     spz_axes: Literal["y_down", "y_up"] = "y_down"
-    """Which way is up in .spz files: y_down as in a .ply, which most programs expect, or y_up as the format's paper says."""
+    """Which way is up in .spz files: y_down as in a .ply, which most programs expect, or y_up as in the specification."""
     spz_version: Literal[3, 4] = 3
-    """Of .spz files. 4 is a little smaller, and some programs refuse it."""
+    """Version of .spz files; 4 is a little smaller, but some programs refuse it."""
 
 
 def check(params: Params) -> None:
@@ -284,8 +284,8 @@ def _lacks_of_person(job: Job, formats: set[str], avatar: Avatar, rig: Rig) -> N
     """Say what the files of one person do not hold."""
     if "splats_glb" in formats:
         job.note(
-            "avatar_splats.glb: eight bones a Gaussian, and the first four "
-            f"hold {100 * rig.kept.mean():.1f} % of its weights"
+            "avatar_splats.glb: eight bones for each Gaussian; the first four "
+            f"hold {100 * rig.kept.mean():.1f} % of the weights"
         )
     if avatar.clothes is not None:
         if rigged := _among(formats, "glb", "splats_glb"):
@@ -301,7 +301,7 @@ def _lacks(job: Job, params: Params, people: list[Avatar], scene: Scene | None, 
     turned = set(spz) if params.spz_axes == "y_up" else set()
     if down := _among(formats - turned, "ply", "spz", "sog"):
         job.note(
-            f"{down}: y down, upright in SuperSplat and PlayCanvas; Spark and viser turn nothing: half a turn about x"
+            f"{down}: y down, upright in SuperSplat and PlayCanvas; for Spark and viser, turn by 180 degrees about x"
         )
     if up := _among(formats & ({"usd", "usd_motion"} | turned), "usd", "usd_motion", *spz):
         job.note(f"{up}: y up")
@@ -314,9 +314,7 @@ def _lacks(job: Job, params: Params, people: list[Avatar], scene: Scene | None, 
             formats, "ply", "spz", "glb", "vrm", "splats_glb", "usd", "sog", "ply_motion", "spz_motion", "usd_motion"
         )
     ):
-        job.note(
-            f"the person's colours in {even} are those in even light: the clip's, which stays when they turn, is not in them"
-        )
+        job.note(f"the person's colours in {even} are those in even light, without the light of the clip")
     antialias = any(avatar.antialias for avatar in people) or (scene is not None and scene.antialias)
     if antialias and (names := _among(formats, "splats_glb", "usd", "usd_motion")):
         job.note(unmarked(names))

@@ -43,7 +43,7 @@ class Params(contract.Params):
     max_side: int = Field(960, ge=64)
     """Longer side of the pictures in px; larger videos are shrunk, smaller ones left as they are."""
     folder_fps: float = Field(10.0, gt=0)
-    """Pictures a second where a folder of pictures stands in for a video: it does not say."""
+    """Pictures a second, if a folder of pictures is given instead of a video."""
 
 
 def check(params: Params, *, video: Path) -> None:
@@ -68,7 +68,9 @@ def run(job: Job, params: Params, *, video: Path) -> None:
     try:
         taken = pick(job, params, video, info, times, pace)
     except TimesFall:
-        job.warn(f"the times of the film's pictures run back: they are counted instead, {info.counted:.3g} a second")
+        job.warn(
+            f"the times of the film's frames run backwards: frames are counted instead, {info.counted:.3g} a second"
+        )
         rmtree(folder)
         info = replace(info, fps=info.counted, duration_s=info.frames / info.counted)
         times = FilmTimes([i / info.fps for i in range(info.frames)], info.duration_s, params.count)
@@ -103,7 +105,7 @@ def run(job: Job, params: Params, *, video: Path) -> None:
     write_facts(job.out / "frames.json", facts)
     job.note(f"{len(frames)} of {decoded} frames, {width}x{height}")
     if video.is_dir() and pace == Params.model_fields["folder_fps"].default:
-        job.note(f"a folder has no frame rate: {pace:g} pictures a second taken (`--set frames.folder_fps=30`)")
+        job.note(f"a folder has no frame rate: {pace:g} pictures a second assumed (`--set frames.folder_fps=30`)")
     if picker.copies or blurred:
         job.note(f"dropped {picker.copies} copies and {len(blurred)} blurred frames")
 
@@ -145,7 +147,7 @@ def pick(
     if flags["interlaced"]:
         make = f"`ffmpeg -i {Path(info.path).name} -vf bwdif=send_frame -crf 16 {Path(info.path).stem}-whole.mp4`"
         job.warn(
-            f"{flags['interlaced']} of {decoded} frames are interlaced, and combed where something moves: {make} mends it"
+            f"{flags['interlaced']} of {decoded} frames are interlaced, with combs where something moves: {make} removes them"
         )
     height, width = (0, 0) if small is None else small.shape[:2]
     return picker, decoded, width, height

@@ -46,7 +46,7 @@ class Params(contract.Params):
     person: Annotated[str, Field(coerce_numbers_to_str=True)] | None = None
     """Person to follow if several are visible: an id that the stage lists when it runs; all: each of them. Default: the largest."""
     outlines: Literal["auto", "always", "never"] = "auto"
-    """Whether outlines are corrected where other frames show what is behind them. auto: ours are, imported masks are kept."""
+    """Correct outlines where other frames show the background. auto: not those of given masks."""
 
 
 def check(params: Params, *, video: Path, mask_files: Path | None = None) -> None:

@@ -34,7 +34,9 @@ def run(job: Job, params: Params, *, video: Path) -> None:
     capture = read_neuman(video)
     if capture.lenses.any():
         strongest = abs(capture.lenses).max()
-        job.warn(f"sparse/cameras.txt has a distortion of up to {strongest:.3g}, left out: images/ is already without")
+        job.warn(
+            f"sparse/cameras.txt has a distortion of up to {strongest:.3g}, ignored: the pictures are already without it"
+        )
         capture.lenses[:] = 0
     for done in write_capture(job.out, capture, params.max_side):
         job.progress(done, len(capture.shots))

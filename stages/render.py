@@ -31,9 +31,9 @@ class Params(contract.Params):
     turntable_frames: int = Field(72, gt=0, le=10_000)
     """Pictures around the person."""
     motion: Literal["jumping_jacks", "wave", "walk_in_place", "squats"] = "jumping_jacks"
-    """The motion that is not in the clip."""
+    """The new motion in motion.mp4."""
     motion_seconds: float = Field(4.0, gt=0, le=3600)
-    """Length of that motion."""
+    """Length of that motion in s."""
 
     @field_validator("motion_seconds")
     @classmethod

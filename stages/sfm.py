@@ -29,7 +29,7 @@ class Params(contract.Params):
     focal: float | None = Field(None, gt=0)
     """Focal length, if known, in px of the frames that the frames stage wrote. Default: estimated."""
     features: int = Field(1536, ge=256)
-    """About how many SIFT features a frame. Matching time grows with the square; 2048 place `courtyard` no better."""
+    """Approximate number of SIFT features in each frame. Matching time grows with the square; 2048 place `courtyard` no better."""
     overlap: int = Field(2, ge=1)
     """Each frame is matched with this many that follow, besides those 1, 2, 4, 8 ... frames later; 1 and 2 add none.
 
@@ -43,7 +43,7 @@ class Params(contract.Params):
     min_share: float = Field(0.5, gt=0, le=1)
     """Share of the frames that must get a pose."""
     cameras_from: Literal["auto", 0, 1] = "auto"
-    """Number of the video's first frame in the names of `--cameras`. auto: read from the names where they tell."""
+    """Number of the video's first frame in the names of `--cameras`. auto: found from the names if possible."""
 
 
 def check(params: Params, *, video: Path, cameras: Path | None = None, smpl_fit: Path | None = None) -> None:
@@ -172,7 +172,7 @@ def map_cameras(
     )
     if params.camera == "fixed":
         solution = standing.still(task, {})
-        job.note("the camera is taken to stand still, as set")
+        job.note("the camera is assumed to stand still, as set")
     else:
         solution = solving.solve(task)
     return pinholes_of(task, solution, params.undistort)

@@ -33,9 +33,9 @@ class Params(contract.Params):
     doubtful: float = Field(0.5, ge=0, le=1)
     """Confidence below which a frame's pose is listed as doubtful."""
     height: Heights = None
-    """How tall people are, barefoot: 1.85, 185cm or 6ft1; of several in their order, or some by number: [2=1.70]."""
+    """Height of the person, barefoot: 1.85, 185cm or 6ft1; for several people a list in order, or by number: [2=1.70]."""
     scale: Scale = None
-    """A length that the page measures and its true one, 2.31=2.00; or cameras: those given are in metres."""
+    """A length on the page and its true length in m, 2.31=2.00; or cameras: the given cameras are in metres."""
 
 
 def check(
@@ -264,7 +264,7 @@ def estimate_poses(
         clip.model, regressor, evidence, clip.cameras, clip.times, clear, clip.points, moving, images, show, metres
     )
     if fit.hidden:
-        job.note(f"doubtful: wide clothes hide {listed(fit.hidden)}, where outlines say nothing of the body")
+        job.note(f"doubtful: wide clothes hide {listed(fit.hidden)}: outlines do not show the body there")
     facts = {
         "source": "blazepose" if given is None else plain(given.name),
         **({"landmarks": found} if found else {}),

@@ -16,7 +16,7 @@ class Params(contract.Params):
     train_frames: int = Field(570, gt=0)
     """Moments to learn from, from the first on. More need more memory."""
     test_every: int = Field(30, gt=0)
-    """Of these moments, every how many the other cameras are measured at."""
+    """The other cameras are measured at every so many of these moments."""
     max_side: int = Field(512, ge=64)
     """Longer side of the pictures in px; the data set's own are 1024, which need four times the memory."""
 

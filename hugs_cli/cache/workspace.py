@@ -156,7 +156,7 @@ class Workspace:
             if self.store.is_symlink() and (root := os.path.realpath(self.root)) not in (users := self.users()):
                 write_json(self.beside(USERS), {"users": [*users, root]})
         except OSError as error:
-            hint = "choose a folder that can be written with `--work`"
+            hint = "choose a writable folder with `--work`"
             raise UsageError(f"cannot write to {self.root}", hint, [str(error.strerror)]) from error
 
     def folder(self, stage: str, key: str) -> Path:

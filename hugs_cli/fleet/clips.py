@@ -104,7 +104,7 @@ def tabled(path: Path) -> list[dict[str, Any]]:
         try:
             return [{str(k): v for k, v in row.items()} for row in csv.DictReader(text, strict=True)]
         except csv.Error as error:
-            raise UsageError(f"{path} is not valid CSV", "mend what is named above", [str(error)]) from error
+            raise UsageError(f"{path} is not valid CSV", "correct what is named above", [str(error)]) from error
     content = document(path, READABLE, LARGEST)
     if not isinstance(content, list) or not all(isinstance(entry, dict) for entry in content):
         raise UsageError(f"{path} holds no list of clips", "write each as `- {clip: dance.mp4, pipeline: preview}`")
@@ -171,7 +171,7 @@ def told_apart(rows: list[Row]) -> list[Row]:
         if ids.setdefault(row.id, row).same != row.same:
             facts = [f"{' '.join(one.settings) or 'no settings'}, masks {one.masks}, fit {one.fit}, person {one.person}"
                      for one in (ids[row.id], row)]  # fmt: skip
-            hint = "give each another pipeline, see `--pipelines-file`"
+            hint = "give each row another pipeline, see `--pipelines-file`"
             raise UsageError(f"{row.video} is listed twice with pipeline {row.pipeline}", hint, facts)
     return found
 

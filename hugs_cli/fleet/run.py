@@ -94,7 +94,7 @@ class Fleet:
             try:
                 self.wait(jobs, press, held)
             except RunStopped:
-                press.console.say("stopping: stages that can go on later write what they need (Ctrl-C again: at once)")
+                press.console.say("stopping: stages write what they need to continue later (Ctrl-C again: at once)")
                 jobs.stop()
                 self.wait(jobs, press, held, STOPPING)
                 raise

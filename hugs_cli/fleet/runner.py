@@ -193,7 +193,7 @@ class Snakemake:
             name = signal.Signals(-self.process.returncode).name
             raise StageError(f"Snakemake was killed by {name}", "call the fleet again: what is finished is kept", lines)
         if not any((self.order.folder / LOGS).iterdir()):
-            hint = "mend the profile, or try one machine: leave out `--profile`"
+            hint = "correct the profile, or try one machine: leave out `--profile`"
             raise StageError("Snakemake placed no job", hint, lines)
 
 

@@ -240,5 +240,5 @@ def _write(job: Job, film: Film, shoot: Shoot, parts: Parts) -> None:
     parts.tidy()
     for path, new in made.items():
         if not new:
-            job.note(f"{path.name} is as it was made before")
+            job.note(f"{path.name} is up to date")
     job.note(f"{count} frame{'' if count == 1 else 's'}, {count / film.fps:.1f} s at {film.fps:g} fps")

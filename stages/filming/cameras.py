@@ -47,7 +47,7 @@ def cameras_of(
     if clip is None and kind in ("clip", "still", "follow"):
         others = "orbit, before, or a file of cameras"
         facts = [f"camera: {kind}"]
-        raise StageError("the scene has no clip whose camera could be taken", f"take `camera:` {others}", facts)
+        raise StageError("the scene has no clip whose camera could be used", f"take `camera:` {others}", facts)
     if kind in ("orbit", "before") or clip is None:
         return _around(kind, count, fps, size or SIZE, setting, cast)
     row = len(clip.names) // 2 if frame is None else frame

@@ -209,7 +209,9 @@ def _own(run: Path | None, person: Person, manner: Manner, soles: Soles) -> Plac
     """What a person of a run did in their clip."""
     if run is None:
         hint = "give them a motion: `motion: moves.bvh`"
-        raise StageError(f"{person.avatar} has no clip to move as in", hint, ["an exported avatar holds no motion"])
+        raise StageError(
+            f"{person.avatar} has no clip whose motion could be used", hint, ["an exported avatar holds no motion"]
+        )
     body = read_poses(trained_of(run / "train", person.who) / "body.npz")
     body = with_hands(body, hands_in(folder_of(run / "smpl", person.who)))
     times = np.array(read_facts(run / "frames" / "frames.json", Listing).times(body.names))

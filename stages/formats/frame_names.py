@@ -90,7 +90,7 @@ def film_numbers(
         return list(numbers), 0
     start = int(count_from_one(total, numbers)) if first is None else first
     if first is None and start:
-        warn(f"{what} have the numbers up to {total}, and not 0: taken as counted from 1")
+        warn(f"{what} have the numbers up to {total}, but no 0: read as counted from 1")
     numbers = [n if n is None else n - start for n in numbers]
     doubt = check_numbers([n for n in numbers if n is not None], total, what, listing.video.path)
     if doubt and not leaves:

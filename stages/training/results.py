@@ -107,12 +107,12 @@ def _say(fit: Fit, counts: Counter[str], distrusted: dict[str, float], say: Fini
     """What is worth knowing of the whole; what is of one person is said of each."""
     if counts["behind"]:
         behind = f"{counts['behind']:,} Gaussians of the scene"
-        say.note(f"{behind} that the person hides or shades took the colours seen around them")
+        say.note(f"{behind} that the person always hides or shades have the colours of their surroundings")
     if counts["broken"]:
         say.warn(f"{counts['broken']} Gaussians left out of the result because they are not finite")
     if numbers := learned_numbers(fit.effects, fit.scene):
         told = ", ".join(f"{name} {value:.2f}" for name, value in numbers.items())
-        say.note(f"learned of how the clip was taken: {told}")
+        say.note(f"learned about the recording: {told}")
     if distrusted:
         most = max(distrusted, key=lambda name: distrusted[name])
         say.note(
@@ -134,12 +134,10 @@ def _filled(fit: Fit, scene: SceneModel, say: Finishing) -> Tensor:
     try:
         invented = fill_hidden(scene, fit.seen(), fit.train, fit.cast()._replace(scene=None))
     except UNFINISHED as error:
-        say.warn(f"what the person hides of the scene could not be filled and stays as it was before: {error}")
+        say.warn(f"the scene behind the person could not be filled and stays as it was: {error}")
         return torch.zeros(len(scene), dtype=torch.bool, device=scene.means.device)
     if filled := int(invented.sum()):
-        say.note(
-            f"{filled:,} Gaussians of the scene fill what the person hides in every frame: invented, from what is around"
-        )
+        say.note(f"{filled:,} Gaussians of the scene are invented: they fill what the person hides in every frame")
     return invented
 
 
@@ -231,7 +229,7 @@ def _finished(fit: Fit, who: PersonLearner, body: FittedBody, say: Finishing) ->
         done = settle(one, kept.person, kept.known, clear, fit.cast([one]), fit.seen(), loss, fit.progress.total)
         kept = kept._replace(person=done)
     except UNFINISHED as error:
-        say.warn(f"the Gaussians of the person could not settle and stay as they were before: {error}")
+        say.warn(f"the Gaussians of the person could not be refined and stay as they were: {error}")
     return kept
 
 

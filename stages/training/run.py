@@ -243,7 +243,7 @@ def finish(training: Training, job: Job) -> Result:
             found = effect_gains(fit, training.heldout, training.far)
             effects = effect_facts(found, curve[-1]["seconds"], job.note)
         except (FloatingPointError, ValueError) as error:  # a timed step failed: the training is over, and is kept
-            job.warn(f"what effects are worth could not be measured: {error}")
+            job.warn(f"the gains of the effects could not be measured: {error}")
     result = result_of(fit, training.task.clips, curve, effects, say)
     say.begins(WRITING)
     result.facts["effects_left_out"] = list(training.choice.left_out)

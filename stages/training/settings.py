@@ -19,11 +19,11 @@ class Params(contract.Params):
     reserve_least: float = contract.internal(0, ge=0)
     """The least of `reserve`, used when time is short and later stages do less."""
     half_until: float = Field(0.4, ge=0, le=1)
-    """Share of the steps, the first ones, that look at pictures of half the size."""
+    """Share of the steps, from the first on, that use pictures of half the size."""
     frames_used: int = Field(0, ge=0)
     """Most training frames to learn from, spread evenly; 0 = all."""
     human_points: int = Field(27_500, gt=0)
-    """About how many Gaussians the person's skin begins with, the same distance apart everywhere; 110,210 in the paper."""
+    """Approximate number of Gaussians with which the person's skin begins, evenly spaced; 110,210 in the paper."""
     human_cap: int = Field(40_000, gt=0)
     """Most Gaussians the person may have in training, unless it begins with more; an opaque lining is put under the skin."""
     scene_cap: int = Field(140_000, gt=0)
@@ -32,7 +32,7 @@ class Params(contract.Params):
     scene_fill: int = Field(20_000, ge=0)
     """Points added to those of SfM before training, where SfM saw no texture."""
     scene_sh: int = Field(3, ge=0, le=3)
-    """Degree of the scene's view-dependent colour where survey finds that the clip calls for it; else it is 0."""
+    """Degree of the scene's view-dependent colour if survey finds that the clip needs it; else it is 0."""
     channels: int = Field(32, gt=0, le=1024)
     """Features of each triplane cell."""
     resolution: int = Field(128, gt=1, le=4096)
@@ -46,20 +46,20 @@ class Params(contract.Params):
     perceptual_weight: float = Field(0.2, ge=0)
     """Weight of that term; 1 in the paper, which costs 0.3 / 0.4 dB more here."""
     perceptual_patches: int = Field(1, ge=1)
-    """Patches of 128 px that it looks at, each around a random pixel of the person; 4 in the paper."""
+    """Patches of 128 px that this term compares, each around a random pixel of the person; 4 in the paper."""
     perceptual_net: Literal["alex", "vgg"] = "alex"
     """The network of that term: AlexNet, or VGG16 as in the paper, which takes seven times as long."""
     curve_points: int = Field(8, gt=0)
-    """How often held-out accuracy is measured for the curve; the clock stands still meanwhile."""
+    """How often held-out accuracy is measured for the curve; the clock of the training stops meanwhile."""
     effect_gains: bool = True
-    """What each effect gains and costs is measured in the end."""
+    """Measure, after training, what each effect gains and costs."""
     lbs_learning: bool = True
-    """Skinning weights are learned; else they stay those of the body where each Gaussian began (see `hugs ablate`)."""
+    """Skinning weights are learned; else each Gaussian keeps those of the body point where it began (see `hugs ablate`)."""
     human_densify: bool = True
     """Gaussians of the person are added and removed."""
     human_loss: bool = True
-    """The person is also drawn alone and compared; else the whole picture teaches person and scene."""
+    """The person is also drawn and compared alone; else the loss compares whole pictures only."""
     triplane: bool = True
-    """Gaussians share corrections, by a triplane and networks; else each has only its own, as in plain splatting."""
+    """Gaussians share corrections from a triplane and networks; else each has only its own, as in plain splatting."""
     joint: bool = True
-    """Person and scene learn together; else the scene has the first half of the steps, then the person before it."""
+    """Person and scene are trained together; else the first half of the steps trains the scene, the second the person."""

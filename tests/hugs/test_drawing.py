@@ -74,7 +74,7 @@ def test_a_batch_is_each_picture_by_itself(avatar, scene):
     for row in range(3):
         torch.testing.assert_close(both.image[row], hugs.draw(poses[row], path[row], scene).image, atol=1e-3, rtol=0)
         torch.testing.assert_close(still.image[row], hugs.draw(poses[0], path[row], scene).image)
-    with pytest.raises(ValueError, match="not equally many"):
+    with pytest.raises(ValueError, match="cameras and poses differ"):
         hugs.draw(poses, path[:2])
 
 

@@ -104,7 +104,7 @@ def test_the_shape_of_an_unknown_body_is_refused_and_so_are_its_vertices(record,
     person = hugs.load(tmp_path / "other.npz").pose()
     assert person.joints.shape == (24, 3)
     for ask in (lambda: person.vertices, lambda: hugs.load(tmp_path / "other.npz").pose(betas=np.ones(10))):
-        with pytest.raises(hugs.StageError, match="body of this avatar is not known"):
+        with pytest.raises(hugs.StageError, match="body of this avatar is unknown"):
             ask()
 
 
@@ -116,7 +116,7 @@ def test_the_shape_of_an_unknown_body_is_refused_and_so_are_its_vertices(record,
         ({"global_orient": np.eye(3)[None]}, "global_orient"),
         ({"betas": np.zeros((2, 10))}, "betas"),
         ({"body_pose": np.zeros((2, 69)), "transl": np.zeros((3, 3))}, r"'body_pose': 2, 'transl': 3"),
-        ({"transl": torch.zeros(3)}, "body_pose is a tensor"),
+        ({"transl": torch.zeros(3)}, "body_pose must be a tensor"),
         ({"hands": np.zeros((30, 3))}, "hands"),
         ({"face": {"smile": 1.0}}, "smile"),
     ],

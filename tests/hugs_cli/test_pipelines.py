@@ -61,7 +61,7 @@ def test_a_pipeline_is_read_in_running_order_with_what_it_extends(importable):
         ("flow.one}", "flow.one, params: {wrod: b}}", ("default", "one", "setting", "wrod"), "word"),
         ("flow.one}", "flow.one, params: {delay: x}}", ("one", "settings"), "hugs stages one"),
         ("doc: Four.", "extends: default", ("default", "extends", "itself"), "pipelines.yaml"),
-        ("  stages:\n", "  stages: [\n", ("pipelines.yaml", "YAML"), "mend"),
+        ("  stages:\n", "  stages: [\n", ("pipelines.yaml", "YAML"), "correct"),
         ("needs: [video], ", "needs: [{video: 1}], ", ("one", "need"), "one, two"),
         ("needs: [video], ", "", ("default", "one", "needs", "missing"), "needs: [video]"),
     ],

@@ -265,7 +265,7 @@ def test_a_finished_training_is_kept_where_no_part_of_finishing_works(tmp_path, 
     known = [
         ("not be measured", "bad steps"),
         ("not be filled", "no memory left"),
-        ("could not settle",),
+        ("could not be refined",),
         ("left out",),
     ]
     assert len(warned) == 4 and all(any_holds(warned, *parts) for parts in known), warned
@@ -670,8 +670,8 @@ def test_what_is_mended_is_counted_and_a_cap_that_is_too_small_is_said(tmp_path,
         "Gaussians, more than scene_cap (10)",
         f"{facts['recolored']:,} Gaussians that no frame shows well",
         f"{facts['unseen']:,} Gaussians of the person that no frame shows",
-        "5 Gaussians of the scene that the person hides",
-        f"{facts['filled']} Gaussians of the scene fill what the person hides in every frame: invented",
+        "5 Gaussians of the scene that the person always hides",
+        f"{facts['filled']} Gaussians of the scene are invented",
         "3 gradients of networks or effects",
     ):
         assert any(part in text for text in said), part

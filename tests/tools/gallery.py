@@ -25,9 +25,9 @@ HEIGHT, WIDTH, GAP, QUALITY = 320, 200, 4, 70  # px of a panel
 MOST = 3_000_000  # bytes of all pictures
 HEAD = """# Gallery
 
-Above: a frame of the clip, the avatar from four sides, a motion that the clip has not, the empty scene where there is one.
-Below: the best and the worst of the held-out frames that the report shows, each beside what is drawn, by LPIPS of the person.
-Made by `make gallery`.
+First row: a frame of the clip, the avatar from four sides, a new motion, the empty scene if there is one.
+Second row: two held-out frames, each beside the drawn frame: the best and the worst of those in the report, by LPIPS of the person.
+`make gallery` makes these pictures.
 """
 
 

@@ -163,7 +163,7 @@ def _correct(
     known = {track: one for track, one in found.items() if one is not None}
     if not known:
         both = sum(bool(each) and np.isfinite(seen[i]).any() for i, each in enumerate(there))
-        facts = [f"{both} frames are in the file and show somebody to BlazePose, {LEAST} are needed"]
+        facts = [f"{both} frames of the file show somebody to BlazePose; {LEAST} are needed"]
         hint = "give masks of the person with --masks, so that BlazePose knows where to look"
         raise StageError(f"the landmarks of {name} can be compared with nothing", hint, facts)
     ranked, refused = sorted(known, key=lambda track: known[track].off), []

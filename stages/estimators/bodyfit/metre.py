@@ -53,8 +53,8 @@ def find_metre(
     """
     if strangers := [who for who in heights if who > len(statures)]:
         count = "one person" if len(statures) == 1 else f"{len(statures)} people"
-        hint = "`--person all` makes an avatar of each; who is followed alone is person 1"
-        raise StageError(f"a height is given of person {strangers[0]}, and there is {count}", hint)
+        hint = "`--person all` makes an avatar of each; a person who is followed alone has the number 1"
+        raise StageError(f"a height is given for person {strangers[0]}, but there is {count}", hint)
     by_height = {who: tall / statures[who - 1] for who, tall in heights.items()}
     named = listed([f"{heights[who]:.2f} m of person {who}" for who in sorted(heights)])
     if scale is None and not heights:

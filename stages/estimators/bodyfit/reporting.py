@@ -41,7 +41,7 @@ def warn_of_scale(job: Job, scale: dict[str, Any]) -> None:
             f" give {scale['initial']:.3g}; is there a table, a stage, stairs, a jump or a moving board?"
         )
     if (slope := scale.get("floor_slope_degrees")) is not None:
-        job.warn(f"the floor slopes by about {slope:.0f} degrees: upright is taken from camera and person instead")
+        job.warn(f"the floor slopes by about {slope:.0f} degrees: the vertical is taken from camera and person instead")
     if scale["how"].startswith("not found"):
         job.warn("the person's scale in the scene is unknown: no floor below the feet and no standing foot was found")
     elif "floor_refused" not in scale and scale.get("floor_spread", 0) > FLOOR_SPREAD:

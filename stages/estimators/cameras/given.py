@@ -35,8 +35,8 @@ def import_cameras(job: Job, path: Path, listing: Listing, min_share: float, fir
     own = given.lenses[0]
     if (off := shape_off((own.width, own.height), size)) > 0:
         job.warn(
-            f"the given cameras are for {own.width}x{own.height}, a shape {off:.0f} px off that of the frames, {width}x{height}:"
-            f" where they are of undistorted or cropped pictures, give these: `hugs run PICTURES/ --cameras {path}`"
+            f"the given cameras are for {own.width}x{own.height}; the frames, {width}x{height}, differ in shape by {off:.0f} px: if"
+            f" the cameras belong to undistorted or cropped pictures, give these: `hugs run PICTURES/ --cameras {path}`"
         )
     order = list(rows.values())
     made = {lens: straighten(lens, *size) for lens in {given.lenses[i] for i in order}}

@@ -62,9 +62,9 @@ def taken_to_stand(task: Task, views: Views, edges: Plain, refusal: NoCameras) -
     elif refusal.placed >= WALKED:
         raise refusal
     elif np.isnan(edges.stays):
-        why = "nothing that can be seen of the background shows whether it moves"
+        why = "nothing visible in the background shows whether the camera moves"
     task.job.warn(
-        f"{refusal.problem}, but the camera is taken to stand still: {why}. Only the person is modelled; {HUMAN_ONLY}. "
+        f"{refusal.problem}, but the camera is assumed to stand still: {why}. Only the person is modelled; {HUMAN_ONLY}. "
         "If it moved: `--set sfm.camera=moving`"
     )
     return still(task, {"motion": edges.facts()}, names)

@@ -39,7 +39,7 @@ def import_masks(
     report_objects(job, objects, chosen)
     if len(chosen) > 1 and invert == "always":
         raise StageError(
-            "masks of several people cannot be inverted: what none of them marks is nobody's",
+            "masks of several people cannot be inverted: pixels that none of them marks belong to nobody",
             "leave out `--set masks.invert=always`, or choose one with `--person ID`",
             [f"{len(chosen)} objects: {', '.join(one.id for one in chosen)}"],
         )

@@ -50,7 +50,7 @@ def everybody(job: Job, network: BlazePose, images: Images) -> list[Sighting]:
         machines = machines or [one for one, stays in zip(sure, still) if stays]
     if machines:
         said = "; ".join(describe_place(one) for one in machines)
-        job.note(f"taken for scene, perhaps a person who never moves: {said}")
+        job.note(f"treated as scene, perhaps a person who never moves: {said}")
     return best
 
 

@@ -48,7 +48,7 @@ def lacks(avatar: Path | None, scene: Path | None, antialias: bool = False) -> l
     """What these files do not hold, or no longer say to us, in words; `antialias`: as the scene was read."""
     found = []
     if avatar is not None and avatar.suffix.lower() == ".glb":
-        found.append(f"{avatar.name} holds eight bones a Gaussian; avatar.npz holds all")
+        found.append(f"{avatar.name} holds eight bones for each Gaussian; avatar.npz holds all")
     if avatar is not None and avatar.suffix.lower() == ".npz" and has_old_clothes(avatar):
         found.append(
             f"{avatar.name} was made before clothes had bones: they follow the skin; train again for clothes that swing"

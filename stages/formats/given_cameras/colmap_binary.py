@@ -57,7 +57,7 @@ class Bytes:
         (count,) = self.take("Q")
         yield from range(count)
         if self.at != len(self.data):
-            fact = f"{len(self.data) - self.at} bytes follow the {count} rows that it announces"
+            fact = f"{len(self.data) - self.at} bytes follow the {count} rows of its header"
             raise StageError(f"{self.path} is not a COLMAP file", HINT, [fact])
 
 

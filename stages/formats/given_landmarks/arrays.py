@@ -36,7 +36,7 @@ def read_arrays(path: Path) -> GivenLandmarks:
     world = parts.get("3D", world)
     some = xy if xy is not None else world
     if some is None or (world is not None and world.shape[:3] != some.shape[:3]):
-        raise StageError(f"{path} has 2D and 3D landmarks of other numbers of frames or points", HINT)
+        raise StageError(f"{path} has 2D and 3D landmarks that differ in the number of frames or points", HINT)
     if sure is not None:
         sizes = int(np.prod(some.shape[:3]))
         if sure.size != sizes or sure.dtype.kind not in "fiu":

@@ -78,7 +78,7 @@ def _read(path: Path, picture: str | None) -> tuple[str, list[Row], list[str] | 
         return tool, list(found), names
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise StageError(
-            f"{path} is not as programs write landmarks", HINT, [f"{type(error).__name__}: {error}"]
+            f"{path} does not hold landmarks in a known form", HINT, [f"{type(error).__name__}: {error}"]
         ) from error
 
 

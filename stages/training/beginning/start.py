@@ -87,9 +87,7 @@ class Task:
         if not any(clip.body.confidence[i] > 0 for i in shown):
             raise StageError(
                 "no training frame has a body fit to learn from",
-                facts=[
-                    f"{len(shown)} of {len(train)} training frames show the person, the fit trusts its pose in none"
-                ],
+                facts=[f"{len(shown)} of {len(train)} training frames show the person, but none has a reliable pose"],
                 hint="give a fit of your own: `hugs run VIDEO --smpl-fit FILE`",
             )
         return train

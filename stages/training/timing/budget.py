@@ -72,15 +72,15 @@ def fit_into_time(
         fit = rebuilt(choice)
         steps = deadline.start(fit, 1)  # once: sizes stay, the steps are fitted into the time again and again
     if choice.left_out:
-        note(f"left out, since more steps win more than they would: {', '.join(choice.left_out).replace('_', ' ')}")
+        note(f"effects left out, since more steps gain more: {', '.join(choice.left_out).replace('_', ' ')}")
     step = deadline.pace.mean(0.0)
     if steps < FEWEST:
         late = FEWEST * step - deadline.left
-        note(f"{steps} steps would fit into the time, {FEWEST} are the least that makes sense: about {late:.0f} s late")
+        note(f"{steps} steps would fit into the time, {FEWEST} are the least: it ends about {late:.0f} s late")
         steps = FEWEST
     fit.progress.retime(steps)
     caps = f"at most {fit.params.human_cap:,} Gaussians of the person and {fit.params.scene_cap:,} of the scene"
     note(f"{steps:,} steps of {1000 * step:.0f} ms, with {caps}")
     if lost := round(short_of(steps), 1):
-        note(f"about {lost} dB short of what 10,000 steps reach, going by our phone clip")
+        note(f"about {lost} dB less than after 10,000 steps, judging by our phone clip")
     return fit, choice

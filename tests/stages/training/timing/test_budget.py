@@ -53,7 +53,7 @@ def test_what_comes_after_training_gives_way_first(clip, second):
 def test_effects_that_are_too_dear_are_left_out_and_named(clip, second, monkeypatch):
     _, choice, said, built, _ = fitted(clip, 300.0, 0, 0, ["motion_blur", "shadow"], monkeypatch)
     assert choice.left_out == ("motion_blur",) and built == [choice]
-    assert any("left out, since more steps win more than they would: motion blur" in text for text in said)
+    assert any("effects left out, since more steps gain more: motion blur" in text for text in said)
 
 
 def test_a_time_that_is_too_short_ends_late_and_says_by_how_much(clip, second):
