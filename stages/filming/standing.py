@@ -15,6 +15,7 @@ from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import depths
 from stages.filming.setting import Setting
 from stages.filming.spec import Film, Person
+from stages.formats.images import evenly
 from stages.records import Ground
 
 Place = tuple[float, float]
@@ -68,9 +69,9 @@ def views_of(setting: Setting, count: int) -> list[View]:
     clip, found = setting.clip, []
     if clip is None:
         return []
-    ratio, last = SMALL / max(clip.width, clip.height), len(clip.names) - 1
+    ratio = SMALL / max(clip.width, clip.height)
     width, height = round(ratio * clip.width), round(ratio * clip.height)
-    for i in np.unique(np.linspace(0, last, count).round().astype(int)) if count > 1 else [len(clip.names) // 2]:
+    for i in evenly(len(clip.names), count) if count > 1 else [len(clip.names) // 2]:
         K, depth = np.diag([ratio, ratio, 1]) @ clip.Ks[i], np.full((height, width), np.inf)
         if setting.splats is not None:
             z, _, alpha = depths(setting.splats, Camera.of(clip.viewmats[i], K, width, height).to(setting.splats.means))

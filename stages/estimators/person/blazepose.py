@@ -16,6 +16,7 @@ from ai_edge_litert.interpreter import Interpreter
 
 from stages.estimators import assets
 from stages.estimators.person.crops import Roi, crop, to_picture
+from stages.formats.images import evenly
 from stages.formats.landmarks import COUNT, MIRRORED, NAMES
 from stages.records import SeenLandmarks
 
@@ -206,7 +207,7 @@ class BlazePose:
         """
         found = []
         rows = np.arange(len(images)) if among is None else np.asarray(among, int)
-        for i in rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), most)).round().astype(int))]:
+        for i in rows[evenly(len(rows), most)]:
             image = images[i]
             here: list[Sighting] = []
             hits = self.search(image)
