@@ -40,14 +40,15 @@ def ablate(
     if not dry_run:
         session.workspace.create()
     plan = ablations.plan(cases)
+    summary = ablations.summary(plan, device)
     if dry_run:
         rows = [{"pipeline": one.session.pipeline.name, "seed": one.seed, "train": state} for one, state, _ in plan]
         lines = [f"  {row['pipeline']:<24}seed {row['seed']:<4}{row['train']}" for row in rows]
-        console.result(json.dumps(rows, indent=1) if as_json else "\n".join([ablations.summary(plan, device), *lines]))
+        show(console, as_json, rows, [summary, *lines])
         return
-    console.say(ablations.summary(plan, device))
+    console.say(summary)
     result = {"clip": session.video.name, **ablations.run(cases, device.value, console)}
-    console.result(json.dumps(result, indent=1) if as_json else "\n".join(ablations.table(result)))
+    show(console, as_json, result, ablations.table(result))
 
 
 @on_a_run
@@ -80,13 +81,13 @@ def costs(
         cases = sweeps.sweep(session, axis or (), seeds)
         session.check_sources()
         plan = sweeps.plan(cases, 60 * budget)
+        summary = sweeps.summary(cases, plan, 60 * budget, device)
         if dry_run:
             rows = [{"pipeline": c.session.pipeline.name, "seed": c.seed, "state": s, "seconds": t} for c, s, t in plan]
-            lines = [sweeps.summary(cases, plan, 60 * budget, device), *sweeps.plan_lines(plan)]
-            console.result(json.dumps(rows, indent=1) if as_json else "\n".join(lines))
+            show(console, as_json, rows, [summary, *sweeps.plan_lines(plan)])
             return
         session.workspace.create()
-        console.say(sweeps.summary(cases, plan, 60 * budget, device))
+        console.say(summary)
         result = sweeps.run(cases, 60 * budget, device.value, console)
     else:
         result = accounts.compared(accounts.runs(session.workspace))
@@ -96,4 +97,9 @@ def costs(
             ("sweep-" + session.pipeline.name, f"around {session.pipeline.name}") if sweep else ("costs", "costs")
         )
         console.say(words.relative(accounts.write_page(root, name, f"{clip}: {title}", result)))
-    console.result(json.dumps(result, indent=1) if as_json else "\n".join(accounts.table(result)))
+    show(console, as_json, result, accounts.table(result))
+
+
+def show(console: Console, as_json: bool, values: object, lines: list[str]) -> None:
+    """Print a result as JSON, or its lines."""
+    console.result(json.dumps(values, indent=1) if as_json else "\n".join(lines))

@@ -14,6 +14,7 @@ from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.shadow import Casters, casters
 from stages.avatar.effects.speeds import Speeds
 from stages.avatar.model.person import Resting, Surfels, bone_transforms, pose
+from stages.avatar.rasterize import Camera
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.neighbours import spread_evenly
 from stages.records import JOINTS
@@ -37,22 +38,24 @@ class Views(NamedTuple):
     moments: Tensor | None = None
     gains: Tensor | None = None
 
+    def camera(self, frame: int) -> Camera:
+        """The camera of a frame."""
+        height, width = self.masks.shape[1:]
+        return Camera(self.viewmats[frame], self.Ks[frame], width, height)
+
     def half(self) -> Views:
         """The same at half the resolution, by area."""
-        height, width = (max(1, n // 2) for n in self.masks.shape[1:])
-        images = torch.stack(
-            [shrunk(image.permute(2, 0, 1), (height, width)).permute(1, 2, 0) for image in self.images]
-        )
-        masks = torch.stack([shrunk(mask[None], (height, width))[0] for mask in self.masks])
-        Ks = self.Ks.clone()
-        Ks[:, 0] *= width / self.masks.shape[2]
-        Ks[:, 1] *= height / self.masks.shape[1]
+        images, masks, Ks = halved(self.images), halved(self.masks[..., None])[..., 0], self.Ks.clone()
+        Ks[:, 0] *= masks.shape[2] / self.masks.shape[2]
+        Ks[:, 1] *= masks.shape[1] / self.masks.shape[1]
         return self._replace(images=images, masks=masks, Ks=Ks)
 
 
-def shrunk(picture: Tensor, size: tuple[int, int]) -> Tensor:
-    """A picture uint8 [C,H,W] at another size, by area: in floats one at a time, whatever the clip's length."""
-    return F.adaptive_avg_pool2d(picture.float(), size).round().to(torch.uint8)
+def halved(pictures: Tensor) -> Tensor:
+    """Pictures uint8 [F,H,W,C] at half the resolution, by area: in floats one at a time, whatever the clip's length."""
+    size = [max(1, n // 2) for n in pictures.shape[1:3]]
+    small = [F.adaptive_avg_pool2d(one.permute(2, 0, 1).float(), size).round().to(torch.uint8) for one in pictures]
+    return torch.stack([one.permute(1, 2, 0) for one in small])
 
 
 class FittedBody(NamedTuple):

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from stages.avatar.body.skinning import all_bones, skin
 from stages.avatar.drawing.attach import attach
-from stages.avatar.drawing.avatar import bones_of, load_avatar, pose_avatar
+from stages.avatar.drawing.avatar import bones_of, load_avatar
 from stages.avatar.surface import mesh as surface
 from stages.avatar.surface.mesh import NoSurfaceError, surface_of
 from stages.formats.body_model import read_body_model
@@ -19,6 +19,7 @@ from stages.formats.hands_face import read_hands_face
 from stages.formats.splats import read_avatar
 from stages.gestures import FACE_NAMES
 from tests.made.clothes import dress, some_clothes
+from tests.made.learned import pose_avatar
 from tests.made.meshes import balls, coarse, edges, solid_avatar
 from tests.made.said import holds
 
