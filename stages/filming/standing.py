@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
+from stages.avatar.cameras.pinhole import onto
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import depths
 from stages.filming.setting import Setting
@@ -146,7 +147,7 @@ def _box(spot: Place, view: View, ground: Ground) -> tuple[np.ndarray, float]:
     angles = np.linspace(0, 2 * np.pi, 8, endpoint=False)
     rim = [(spot[0] + RADIUS * np.cos(a), y, spot[1] + RADIUS * np.sin(a)) for a in angles for y in (0.0, TALL)]
     points = (np.array(rim) @ ground.turn.T + ground.point) @ view.viewmat[:3, :3].T + view.viewmat[:3, 3]
-    pixels = points[:, :2] / np.maximum(points[:, 2:], RADIUS) * view.K[[0, 1], [0, 1]] + view.K[:2, 2]
+    pixels = onto(points, view.K, RADIUS)
     return np.array([pixels.min(0), pixels.max(0)]), float(points[:, 2].min())
 
 

@@ -10,6 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from stages.avatar.body.smpl import vertex_normals
+from stages.avatar.cameras.pinhole import onto
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.shadow import Casters, casters
 from stages.avatar.effects.speeds import Speeds
@@ -136,7 +137,7 @@ def person_box(mask: Tensor, points: Tensor, viewmat: Tensor, K: Tensor) -> tupl
     local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
     local = local[local[:, 2] > NEAR]
     if len(local):
-        at = local[:, :2] / local[:, 2:] * K.diagonal()[:2] + K[:2, 2]
+        at = onto(local, K)
         found.append(torch.cat([at.amin(0).floor(), at.amax(0).ceil()]))
     if not found:
         return 0, 0, width, height

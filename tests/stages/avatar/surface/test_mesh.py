@@ -80,6 +80,7 @@ def test_its_colours_are_those_of_the_gaussians(mesh):
     np.testing.assert_allclose(found[front].mean(0), [0.9, 0.1, 0.1], atol=0.15)
 
 
+@pytest.mark.slow
 def test_an_avatar_of_0_1_0_makes_the_same_mesh(avatar, mesh, tmp_path):
     """Its file had these arrays, float32, and no normals, casters, fingers or face."""
     names = "means quats scales opacities sh0 shN lbs_weights joints parents betas canonical_pose".split()
