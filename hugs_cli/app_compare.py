@@ -40,15 +40,14 @@ def ablate(
     if not dry_run:
         session.workspace.create()
     plan = ablations.plan(cases)
-    summary = ablations.summary(plan, device)
     if dry_run:
         rows = [{"pipeline": one.session.pipeline.name, "seed": one.seed, "train": state} for one, state, _ in plan]
         lines = [f"  {row['pipeline']:<24}seed {row['seed']:<4}{row['train']}" for row in rows]
-        show(console, as_json, rows, [summary, *lines])
+        console.result(json.dumps(rows, indent=1) if as_json else "\n".join([ablations.summary(plan, device), *lines]))
         return
-    console.say(summary)
+    console.say(ablations.summary(plan, device))
     result = {"clip": session.video.name, **ablations.run(cases, device.value, console)}
-    show(console, as_json, result, ablations.table(result))
+    console.result(json.dumps(result, indent=1) if as_json else "\n".join(ablations.table(result)))
 
 
 @on_a_run
@@ -81,13 +80,13 @@ def costs(
         cases = sweeps.sweep(session, axis or (), seeds)
         session.check_sources()
         plan = sweeps.plan(cases, 60 * budget)
-        summary = sweeps.summary(cases, plan, 60 * budget, device)
         if dry_run:
             rows = [{"pipeline": c.session.pipeline.name, "seed": c.seed, "state": s, "seconds": t} for c, s, t in plan]
-            show(console, as_json, rows, [summary, *sweeps.plan_lines(plan)])
+            lines = [sweeps.summary(cases, plan, 60 * budget, device), *sweeps.plan_lines(plan)]
+            console.result(json.dumps(rows, indent=1) if as_json else "\n".join(lines))
             return
         session.workspace.create()
-        console.say(summary)
+        console.say(sweeps.summary(cases, plan, 60 * budget, device))
         result = sweeps.run(cases, 60 * budget, device.value, console)
     else:
         result = accounts.compared(accounts.runs(session.workspace))
@@ -97,9 +96,4 @@ def costs(
             ("sweep-" + session.pipeline.name, f"around {session.pipeline.name}") if sweep else ("costs", "costs")
         )
         console.say(words.relative(accounts.write_page(root, name, f"{clip}: {title}", result)))
-    show(console, as_json, result, accounts.table(result))
-
-
-def show(console: Console, as_json: bool, values: object, lines: list[str]) -> None:
-    """Print a result as JSON, or its lines."""
-    console.result(json.dumps(values, indent=1) if as_json else "\n".join(lines))
+    console.result(json.dumps(result, indent=1) if as_json else "\n".join(accounts.table(result)))

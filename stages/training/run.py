@@ -98,18 +98,15 @@ class Training:
     @cached_property
     def heldout(self) -> list[int]:
         """The held-out frames that show the person, at most MEASURED of them."""
-        return spread_evenly(self._shown, MEASURED)
+        clip = self.task.clips[0]
+        return spread_evenly([i for i in range(len(clip.names)) if clip.heldout[i] and clip.shows_person(i)], MEASURED)
 
     @cached_property
     def far(self) -> list[int]:
         """The held-out frames whose poses are farthest from those of training, at most MEASURED of them."""
         clip = self.task.clips[0]
-        return spread_evenly(farthest(clip.body.body_pose, self._shown, clip.training), MEASURED)
-
-    @cached_property
-    def _shown(self) -> list[int]:
-        clip = self.task.clips[0]
-        return [i for i in range(len(clip.names)) if clip.heldout[i] and clip.shows_person(i)]
+        shown = [i for i in range(len(clip.names)) if clip.heldout[i] and clip.shows_person(i)]
+        return spread_evenly(farthest(clip.body.body_pose, shown, clip.training), MEASURED)
 
     def state(self) -> dict[str, Any]:
         """For a checkpoint, see SAVED."""
