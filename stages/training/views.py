@@ -54,8 +54,8 @@ class Views(NamedTuple):
 
 def halved(pictures: Tensor) -> Tensor:
     """Pictures uint8 [F,H,W,C] at half the resolution, by area: in floats one at a time, whatever the clip's length."""
-    size = [max(1, n // 2) for n in pictures.shape[1:3]]
-    small = [F.adaptive_avg_pool2d(one.permute(2, 0, 1).float(), size).round().to(torch.uint8) for one in pictures]
+    half = max(1, pictures.shape[1] // 2), max(1, pictures.shape[2] // 2)
+    small = [F.adaptive_avg_pool2d(one.permute(2, 0, 1).float(), half).round().to(torch.uint8) for one in pictures]
     return torch.stack([one.permute(1, 2, 0) for one in small])
 
 
