@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from stages import evaluate, render, train
-from stages.avatar.drawing.avatar import load_avatar, pose_avatar
+from stages.avatar.drawing.avatar import load_avatar
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.model.person import Canonical, rest
 from stages.avatar.model.scene import load_scene
@@ -43,6 +43,7 @@ from stages.training.step import losses
 from stages.training.step.fit import Fit
 from stages.training.timing.deadline import Pace
 from stages.training.timing.finishing import GAINS, HIDDEN, SETTLING, SHAPING, WRITING, Finishing, finishing_parts
+from tests.made.learned import pose_avatar
 from tests.made.said import any_holds, holds
 from tests.made.training import posed, twin
 

@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import re
+import shutil
 import time
 
 import numpy as np
@@ -77,6 +78,11 @@ def page(finished):
     return folder / report.PAGE
 
 
+def beside(text):
+    """What a page links to that is not in it."""
+    return re.findall(r'(?:src|href|action)="((?!data:|#)[^"]*)', text)
+
+
 def test_everything_is_told(page):
     text = page.read_text(encoding="utf-8")
     assert "<h1>dance &lt;1&gt;.mp4</h1>" in text and "sfm: the camera &lt;b&gt;barely&lt;/b&gt; moved" in text
@@ -87,10 +93,25 @@ def test_everything_is_told(page):
     assert [name for name in ALL if f"<td>{name}</td>" not in text] == []
     assert text.count(">whole picture</text>") == text.count(">box of the person</text>") == 1, "two lines of the curve"
     assert "Training, step by step" in text and "<td>drawing</td><td class=n>9.0 s</td><td class=n>75 %</td>" in text
-    beside = re.findall(r'(?:src|href|action)="((?!data:|#)[^"]*)', text)
-    assert {"export/viewer.html", "export/avatar.glb"} <= set(beside)
-    assert [one for one in beside if not (page.parent / one).is_file()] == [], "it names no file that is not there"
+    assert {"export/viewer.html", "export/avatar.glb"} <= set(beside(text))
+    assert [one for one in beside(text) if not (page.parent / one).is_file()] == [], (
+        "it names no file that is not there"
+    )
     assert not re.search(r"url\((?!#)|@import|https?://|<script", text), "nothing is fetched, nothing runs"
+
+
+def test_a_page_that_is_copied_elsewhere_with_its_folders_names_the_files_there(page, tmp_path):
+    """In a pipeline's folder these are links; copied, the page names nothing of where it was."""
+    pipeline = tmp_path / "pipeline"
+    pipeline.mkdir()
+    shutil.copy(page, pipeline)
+    for name in ("export", "render", "evaluate"):
+        (pipeline / name).symlink_to(page.parent / name)
+    moved = shutil.copytree(pipeline, tmp_path / "elsewhere")
+    text = (moved / report.PAGE).read_text(encoding="utf-8")
+    assert str(page.parent) not in text and not (moved / "export").is_symlink()
+    assert "export/viewer.html" in beside(text)
+    assert [one for one in beside(text) if one.startswith("/") or not (moved / one).is_file()] == []
 
 
 @pytest.mark.slow
