@@ -214,7 +214,7 @@ def test_times_that_run_back_are_counted(tmp_path):
     times = [frame["time_s"] for frame in facts["frames"]]
     assert 18 <= len(times) <= 20 and (np.diff(times) > 0.02).all()
     (warning,) = warnings
-    assert holds(warning, "times", "run back", "counted", 30)
+    assert holds(warning, "times", "run backwards", "counted", 30)
 
 
 def test_interlaced_frames_are_said(tmp_path):

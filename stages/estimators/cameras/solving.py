@@ -192,7 +192,7 @@ def short_walk_of(
             changed = model_changes(task.job, best, *task.size, task.prior)
             best, facts["lens"] = changed or (best, spreads(walk, task.side))
     task.job.note(
-        f"the camera walks a short way: a pure turn would leave {compared.wins:.1f} times as much of the background's motion "
+        f"the camera takes a short walk: a pure turn would leave {compared.wins:.1f} times as much of the background's motion "
         "unexplained; distances are known only roughly"
     )
     return moving(task, best, facts)
