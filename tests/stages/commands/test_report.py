@@ -19,7 +19,7 @@ from stages.estimators import assets
 from stages.formats.facts import Dataset, Metrics
 from stages.formats.images import write_image
 from tests.made import tiny as tiny_clip
-from tests.made.browser import probe
+from tests.made.browser import FOUND, LOADED, probe
 from tests.made.devtools import Page
 from tests.made.meshes import coarse
 from tests.made.said import holds
@@ -123,6 +123,31 @@ def test_the_browser_shows_everything_and_complains_of_nothing(page, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_page_that_was_moved_and_sent_works(page, tmp_path):
+    """By itself; and with what lies beside it, zipped and unpacked elsewhere, when nothing is left where it was made."""
+    alone, sent, aside = tmp_path / "a mail" / "page.html", tmp_path / "J\xf6rg's #1 (50 %)", page.parent.with_name("aside")
+    alone.parent.mkdir()
+    alone.write_bytes(page.read_bytes())
+    shutil.unpack_archive(shutil.make_archive(str(tmp_path / "sent"), "zip", page.parent), sent)
+    page.parent.rename(aside)
+    try:
+        for place, opened in ((alone, False), (sent / page.name, True)):
+            with contextlib.closing(Page(tmp_path / f"profile-{opened}", (500, 900))) as tab:
+                tab.open(place, LOADED)
+                found = tab.run(FOUND)
+                assert found["bad"] == found["still"] == [] and found["images"] == 9 and found["films"] == 4
+                if opened:
+                    tab.run("document.querySelector('a[href$=\"viewer.html\"]').click()")
+                    wait(tab, "document.body?.matches('.open, .stuck')")
+                    assert tab.run("document.body.matches('.open')"), tab.run("document.body.innerText")
+                assert tab.said == []
+                asked = {one.partition("#")[0] for one in tab.requests if not one.startswith(("data:", "blob:"))}
+                assert asked == {place.as_uri()} | ({(sent / "export/viewer.html").as_uri()} if opened else set())
+    finally:
+        aside.rename(page.parent)
+
+
+@pytest.mark.slow
 def test_a_page_grows_stage_by_stage(finished, tmp_path):
     """Each finished stage adds its part; a training under way shows its last picture."""
     _, rows = finished
@@ -179,7 +204,7 @@ def test_a_part_that_cannot_be_made_is_named_and_fails_at_the_end(finished, tmp_
 
 @pytest.mark.slow
 def test_the_browser_reads_a_growing_page_again_and_keeps_its_place(finished, tmp_path, monkeypatch):
-    """Moved elsewhere as a whole file, it ends as the page of the end, and reads that no more."""
+    """It ends as the page of the end, and reads that no more."""
     monkeypatch.setattr(report, "RELOAD", 1)
     _, rows = finished
     show(tmp_path, [*rows[:4], {"name": "train", "state": "waits"}])
