@@ -125,11 +125,8 @@ def test_the_browser_shows_everything_and_complains_of_nothing(page, tmp_path):
 @pytest.mark.slow
 def test_a_page_that_was_moved_and_sent_works(page, tmp_path):
     """By itself; and with what lies beside it, zipped and unpacked elsewhere, when nothing is left where it was made."""
-    alone, sent, aside = (
-        tmp_path / "a mail" / "page.html",
-        tmp_path / "J\xf6rg's #1 (50 %)",
-        page.parent.with_name("aside"),
-    )
+    alone, sent = tmp_path / "a mail" / "page.html", tmp_path / "J\xf6rg's #1 (50 %)"
+    aside = page.parent.with_name("aside")
     alone.parent.mkdir()
     alone.write_bytes(page.read_bytes())
     shutil.unpack_archive(shutil.make_archive(str(tmp_path / "sent"), "zip", page.parent), sent)
