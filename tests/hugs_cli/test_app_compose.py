@@ -131,7 +131,7 @@ def test_both_are_in_the_scene_and_the_same_film_makes_the_same_bytes(made, hugs
     columns = np.argwhere(seen == 3)[:, 1]  # heads
     assert (columns < 48).sum() > 20 and (columns > 48).sum() > 20
     again = hugs(film)[1]
-    assert holds(again, "a.mp4", "before") and len(drawn) == 6
+    assert holds(again, "a.mp4", "up to date") and len(drawn) == 6
     other = write(made, "b.yaml", "film: b.mp4")
     hugs(other)
     assert (made / "b.mp4").read_bytes() == first and len(drawn) == 12
@@ -154,7 +154,7 @@ def test_a_second_compose_of_a_film_waits_for_the_first(made, hugs, monkeypatch)
     say = Console.say
     monkeypatch.setattr(Console, "say", lambda self, text: done.set() if "waiting" in text else say(self, text))
     _, err = hugs(film)
-    assert done.is_set() and holds(err, "twice.ply", "before")
+    assert done.is_set() and holds(err, "twice.ply", "up to date")
     thread.join()
 
 
@@ -174,7 +174,7 @@ def test_a_compose_killed_after_some_of_its_files_makes_the_rest(made, hugs, mon
         patch.setattr(outputs if at != "page" else pages, at, kill)
         hugs(film)
     _, err = hugs(film)
-    assert holds(err, f"{at}k.mp4", "before") and (made / f"{at}k.glb").is_file()
+    assert holds(err, f"{at}k.mp4", "up to date") and (made / f"{at}k.glb").is_file()
 
 
 @pytest.mark.parametrize("out", ["page: a.html; stills: {folder: a.html, at: [0]}",
@@ -208,7 +208,7 @@ def test_a_still_takes_the_place_of_a_link_and_what_it_leads_to_stays(made, hugs
     assert holds(hugs(film, code=2)[1], "error", "linked", "--force")
     hugs(film, "--force")
     assert stored.read_bytes() == before and read_image(made / "linked/000.000.png").shape == (128, 96, 3)
-    assert holds(hugs(film)[1], "linked", "before")
+    assert holds(hugs(film)[1], "linked", "up to date")
 
 
 def test_a_film_that_was_cut_short_goes_on_where_it_was(made, hugs, drawn, monkeypatch):
@@ -246,7 +246,7 @@ def test_a_film_is_no_strangers_where_what_comes_after_it_was_not_made(made, hug
     assert (made / "h.mp4").exists() and drawn
     drawn.clear()
     _, err = hugs(film)
-    assert holds(err, "h.mp4", "before") and not drawn
+    assert holds(err, "h.mp4", "up to date") and not drawn
 
 
 def test_a_change_draws_again_what_depends_on_it_and_nothing_else(made, hugs, drawn):
@@ -257,7 +257,7 @@ def test_a_change_draws_again_what_depends_on_it_and_nothing_else(made, hugs, dr
     hugs(film)
     assert len(drawn) == count and (made / "c.html").stat().st_size > 1e6
     write(made, "c.yaml", "film: c.mp4; page: c.html", ("at: [0.45, 0.0]", "at: [0.5, 0.0]"))
-    assert not holds(hugs(film)[1], "c.mp4", "before") and len(drawn) == 2 * count
+    assert not holds(hugs(film)[1], "c.mp4", "up to date") and len(drawn) == 2 * count
     (made / "c.mp4").write_bytes(b"edited")
     assert holds(hugs(film, code=2)[1], "error", "c.mp4", "--force")
 

@@ -243,7 +243,7 @@ def stands(places):
     """How a program with y up shows the person, from its Gaussians in our order; AssertionError unless they were turned only."""
     for up, ahead in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         if np.abs(np.asarray(places) * [up * ahead, up, ahead] - PERSON.means).max() < 2e-3:
-            return f"{'upright' if up > 0 else 'on the head'}, faces {'' if ahead > 0 else '-'}z"
+            return f"{'upright' if up > 0 else 'upside down'}, faces {'' if ahead > 0 else '-'}z"
     raise AssertionError("they are not as they were, but for turns")
 
 
