@@ -53,8 +53,9 @@ class Listener(Console):
         self.hear(Progress(said=(f"{before}{text}".strip(),)))
 
     def cached(self, stage: str, stamp: Stamp) -> None:
-        """A stage whose result is fresh."""
-        self.hear(Progress(stage, "cached", said=tuple(stamp.warnings)))
+        """A stage whose result is fresh, if that is new."""
+        if not self.only_new:
+            self.hear(Progress(stage, "cached", said=tuple(stamp.warnings)))
 
     def draw(self, stage: str) -> None:
         """Pass on the progress of the running stage."""

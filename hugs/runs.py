@@ -15,6 +15,7 @@ from hugs_cli.cache.engine import RunStopped
 from hugs_cli.device import device_of
 from hugs_cli.options import MAX_SEED, RunOptions
 from hugs_cli.pipelines import UsageError
+from hugs_cli.within import promise
 
 if TYPE_CHECKING:
     from hugs.avatar import Avatar
@@ -40,6 +41,7 @@ def run(
     seed: int = 0,
     device: str = "auto",
     force: bool = False,
+    within: str | None = None,
     pipelines_file: Pathish | None = None,
 ) -> Avatar:
     """Run a pipeline on a clip, as `hugs run` does, and return the avatar, as `hugs.load` of the run's folder does.
@@ -56,6 +58,7 @@ def run(
     - `height`: of the person, barefoot, in m or as "6ft1"; a list for several people, in order. `scale`: a length on the page and
       its true length, for example "2.31=2.00"; or "cameras".
     - `seed`: of all random numbers. `device`: "auto", "cpu" or "cuda". `force`: run all stages again.
+    - `within`: train for what is left of a time such as "10m" or "1h30m"; results lie in `WORK/CLIP/PIPELINE.TIME`.
 
     StageError, with the facts and the hint that the command prints; KeyboardInterrupt after Ctrl-C.
 
@@ -78,23 +81,30 @@ def run(
         work=Path(work),
         pipelines_file=_path(pipelines_file) or pipelines.FILE,
     )
-    folder = _finish(given, Path(video), device, force, progress)
+    folder = _finish(given, Path(video), device, force, progress, within)
     from hugs.avatar import load  # torch, which no stage's process shares
 
     return load(folder)
 
 
-def _finish(given: RunOptions, video: Path, device: str, force: bool, progress: Hear | None) -> Path:
-    """Bring all stages up to date; returns the folder of their links."""
+def _finish(
+    given: RunOptions, video: Path, device: str, force: bool, progress: Hear | None, within: str | None
+) -> Path:
+    """Bring all stages up to date, `within` a time if there is one; returns the folder of their links."""
     session = given.session(video)
     wanted = list(session.pipeline.stages)
+    promised = None if within is None else promise(session, None, within)
+    session = promised.session if promised else session
     session.check_sources()
     session.workspace.create()
     console = console_for(progress)
     console.header(video.name, "", session.pipeline.name, str(session.workspace.root), *device_of(device))
     forced = frozenset(wanted if force else ())
     try:
-        engine.run(session, wanted, forced, device, console, report=True)
+        if promised:
+            promised.keep(forced, device, console)
+        else:
+            engine.run(session, wanted, forced, device, console, report=True)
     except RunStopped as stopped:
         where = f" in {stopped.stage}" if stopped.stage else ""
         raise KeyboardInterrupt(f"stopped{where}; finished stages are kept") from None

@@ -21,7 +21,7 @@ from hugs_cli.cache.workspace import LOCK
 from hugs_cli.console import Console
 from hugs_cli.device import device_of
 from hugs_cli.direct import run_directly
-from hugs_cli.options import CODE_MEMORY, Device, DeviceName, Work
+from hugs_cli.options import CODE_MEMORY, Device, DeviceName, Overwrite, Work
 from hugs_cli.outputs import check_out, remembering
 from hugs_cli.pipelines import UsageError
 from stages.contract import Job
@@ -41,9 +41,7 @@ def compose(
         bool, Option("--init", help="Write a film of these RUNs to begin with; the first is the scene.")
     ] = False,
     out: Annotated[Path, Option(help="With --init: the film to write.")] = Path(FIRST),
-    force: Annotated[
-        bool, Option("--force", help="Overwrite files that others made; never a source or a result.")
-    ] = False,
+    force: Overwrite = False,
     device: DeviceName = Device.auto,
     work: Work = Path("work"),
 ) -> None:

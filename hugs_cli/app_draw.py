@@ -14,7 +14,7 @@ from hugs_cli.cache.workspace import Stamp, Workspace, clip_name
 from hugs_cli.console import Console
 from hugs_cli.device import device_of
 from hugs_cli.direct import run_directly
-from hugs_cli.options import AnyPipeline, DeviceName, Work, pipeline_of
+from hugs_cli.options import AnyPipeline, DeviceName, Overwrite, Work, pipeline_of
 from hugs_cli.outputs import check_out, remembering
 from hugs_cli.pipelines import UsageError
 from stages.contract import Job
@@ -38,7 +38,20 @@ SceneAxes = Annotated[
     options.Axes, Option("--scene-axes", help="Axes of the --scene file: y_down, as trainers write it, or y_up.")
 ]
 Who = Annotated[int, Option(min=1, help="Number of the person, if the run of VIDEO has several.")]
-Overwrite = Annotated[bool, Option("--force", help="Overwrite files that others made; never a source or a result.")]
+Spot = Annotated[
+    tuple[float, float, float],
+    Option(
+        help="Where the soles stand, m: in a --scene file X Y Z in its axes; in a run, LEFT of its person, 0, AHEAD."
+    ),
+]
+CameraName = Annotated[
+    str | None,
+    Option(
+        metavar="KIND|FILE",
+        help="clip, still, follow, orbit or before, as in a film; or a file as for render, with a camera, or one a frame.",
+        show_default="the clip's; before, where that sees backs",
+    ),
+]
 
 
 def render(
@@ -95,24 +108,12 @@ def animate(
     avatar: AvatarFile = None,
     scene: SceneFile = None,
     scene_axes: SceneAxes = options.Axes.y_down,
-    at: Annotated[
-        tuple[float, float, float],
-        Option(
-            help="Where the soles stand, m: in a --scene file X Y Z in its axes; in a run, LEFT of its person, 0, AHEAD."
-        ),
-    ] = (0, 0, 0),
+    at: Spot = (0, 0, 0),
     who: Who = 1,
     out: Annotated[Path | None, Option(help="The video to write (mp4).", show_default="CLIP-MOTION.mp4")] = None,
     only: Annotated[options.Only, Option(help="human: over white; both: in the scene.")] = options.Only.both,
     fps: Annotated[float, Option(min=0.1, max=240, help="Frames a second of the video.")] = 30,
-    camera: Annotated[
-        str | None,
-        Option(
-            metavar="KIND|FILE",
-            help="clip, still, follow, orbit or before, as in a film; or a file as for render, with a camera, or one a frame.",
-            show_default="the clip's; before, where that sees backs",
-        ),
-    ] = None,
+    camera: CameraName = None,
     motion_fps: Annotated[
         float | None, Option(min=0.1, max=10_000, help="Frames a second of the motion; by default the file's.")
     ] = None,

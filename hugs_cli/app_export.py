@@ -15,12 +15,12 @@ from typer import Option
 
 from hugs_cli import film as films
 from hugs_cli import options, pipelines, words
-from hugs_cli.app_draw import Overwrite, finished
+from hugs_cli.app_draw import finished
 from hugs_cli.cache import engine
 from hugs_cli.cache.freshness import Session, Verdict
 from hugs_cli.cache.workspace import Stamp, Workspace
 from hugs_cli.console import Console
-from hugs_cli.options import AnyPipeline, DeviceName, PipelinesFile, RunOptions, Settings, Work
+from hugs_cli.options import AnyPipeline, DeviceName, Overwrite, PipelinesFile, RunOptions, Settings, Work
 from hugs_cli.outputs import check_out, remember_out
 from hugs_cli.pipelines import UsageError
 from stages.contract import whole

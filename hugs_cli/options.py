@@ -83,6 +83,7 @@ Seed = Annotated[
 AsJson = Annotated[bool, Option("--json", help="Print the result as JSON.")]
 DryRun = Annotated[bool, Option("--dry-run", help="Only show the plan.")]
 Force = Annotated[bool, Option("--force", help="Run the named stages again; by default all.")]
+Overwrite = Annotated[bool, Option("--force", help="Overwrite files that others made; never a source or a result.")]
 DeviceName = Annotated[Device, Option(help="auto: the GPU if there is one that torch and gsplat can use.")]
 
 

@@ -8,9 +8,8 @@ import platform
 import re
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache, cached_property
-from importlib import metadata
 from pathlib import Path
 from statistics import median
 from typing import NamedTuple
@@ -20,12 +19,11 @@ from pydantic import NonNegativeFloat, PositiveFloat, TypeAdapter, ValidationErr
 from hugs_cli import busy
 from hugs_cli.cache import whole
 from hugs_cli.cache.child import processors
-from hugs_cli.cache.fingerprint import digest
 from hugs_cli.cache.freshness import Session, Verdict
 from hugs_cli.cache.workspace import read_json
 from hugs_cli.pipelines import Stage
 from hugs_cli.words import duration
-from stages import contract
+from stages.contract import load_stage
 
 STAGE_START = 2.5
 """Seconds from the end of a stage to the start of the next, libraries loaded, and of a stage of which nothing is known."""
@@ -33,7 +31,6 @@ FINISHING, SETTLING = 100, 200  # steps that take as long as what follows the la
 KEPT, ASKED = 400, 5  # rows in the file, and the last ones of a stage that a guess is made from
 SHORT = 2.0  # s; shorter stages tell nothing
 LEAST = 250  # steps of a training that takes as long as the shortest one, with what it times and the least after it
-KERNELS = "stages.avatar."  # the package that holds all of them
 WORTH = 10.0  # s; of a shorter run it is not found out how busy the machine is
 OFF = {0: 2.0, 1: 1.6, 2: 1.4}
 """Earlier runs -> factor within which a guess is held to be; of more it is FEW."""
@@ -76,8 +73,7 @@ USUAL: dict[str, tuple[Sizes, dict[str, float]]] = {
 }  # fmt: skip
 """Pipeline -> sizes, and seconds of its stages; others are as `default`. The phone clip, 2 idle cores, November 2026: 5 min 45 s,
 shared out as in runs beside other work (docs/lab/2026-11/pipelines-and-people.md)."""
-COMPILING = {"stages.smpl": 2.5, "stages.survey": 2.0, "stages.train": 34.0}
-"""Module -> seconds in which it compiles kernels where none are. `preview`, then again, 2 idle cores of Zen 4, November 2026."""
+COMPILING = 34.0  # s in which a training compiles kernels; `preview`, then again, 2 idle cores of Zen 4, November 2026
 
 
 def work(stage: str, sizes: Sizes) -> float:
@@ -135,59 +131,38 @@ def file() -> Path:
     return folder() / f"{re.sub(r'[^A-Za-z0-9_-]+', '.', platform.node()) or 'machine'}.json"
 
 
-@dataclass(frozen=True)
-class Kept:
-    """What is known of this machine: stages that it ran, in order, and what kernels were compiled of, see `kernels`."""
-
-    rows: list[Row] = field(default_factory=list)
-    kernels: list[str] = field(default_factory=list)
-
-
-def kept() -> Kept:
-    """What is known of this machine; nothing where the file cannot be read."""
+def kept() -> list[Row]:
+    """Stages that this machine ran, in order; none where the file cannot be read."""
     try:
-        return _form().validate_python(read_json(file()))
+        return _form().validate_python(read_json(file()).get("rows", []))
     except ValidationError:
-        return Kept()
+        return []
 
 
 @cache
-def _form() -> TypeAdapter[Kept]:
-    return TypeAdapter(Kept)
-
-
-def kernels(session: Session, stage: Stage, device: str) -> str:
-    """A digest of all that the kernels of a stage are compiled of; where it is another, some may be compiled anew."""
-    code = session.code.digests(stage.module)
-    own = {module: text for module, text in code.items() if module.startswith(KERNELS)}
-    return digest([contract.__file__, metadata.version("numba"), stage.module, device, own])
+def _form() -> TypeAdapter[list[Row]]:
+    return TypeAdapter(list[Row])
 
 
 def learn(session: Session, stage: Stage, seconds: float, device: str, compiling: float = 0.0) -> None:
-    """Keep how long a stage took, without the seconds in which it was `compiling`, and that its kernels are compiled.
-
-    Of a training that was fitted into a time only that is kept, and of a short stage, too.
+    """Keep how long a stage took, without the seconds in which it was `compiling`; not of a short one, nor of a training that
+    was fitted into a time.
     """
-    rows, known = kept().rows, kept().kernels
-    if stage.module in COMPILING:
-        own = kernels(session, stage, device)
-        known = [*(one for one in known if one != own), own][-KEPT:]
-    if seconds - compiling >= SHORT and not stage.params.model_dump().get("seconds"):
-        alone = (seconds - compiling) * free()
-        sizes = sizes_of(session, True)
-        rows = [*rows, Row(stage.name, stage.module, session.pipeline.name, device, processors(), sizes, alone)][-KEPT:]
+    if seconds - compiling < SHORT or stage.params.model_dump().get("seconds"):
+        return
+    alone, sizes = (seconds - compiling) * free(), sizes_of(session, True)
+    row = Row(stage.name, stage.module, session.pipeline.name, device, processors(), sizes, alone)
     with suppress(OSError):  # a full disk: the next guess is a little worse
         folder().mkdir(parents=True, exist_ok=True)
-        plain = [row._asdict() | {"sizes": row.sizes._asdict()} for row in rows]
-        whole.replace(file(), json.dumps({"rows": plain, "kernels": known}))
+        plain = [one._asdict() | {"sizes": one.sizes._asdict()} for one in [*kept(), row][-KEPT:]]
+        whole.replace(file(), json.dumps({"rows": plain}))
 
 
 @dataclass(frozen=True)
 class Times:
-    """What this machine's earlier runs on a device tell, and what its kernels were compiled of."""
+    """What this machine's earlier runs on a device tell."""
 
     rows: list[Row]
-    kernels: list[str] = field(default_factory=list)
     device: str = "cpu"
 
     @cached_property
@@ -202,12 +177,10 @@ class Times:
         """How many times as long as is USUAL the stages took that were run."""
         return median([_slow(row) for row in self.rows if row.module == f"stages.{row.stage}"] or [1.0])
 
-    def compiling(self, session: Session, stage: Stage) -> float:
+    def compiling(self, stage: Stage) -> float:
         """Seconds in which a stage compiles kernels that are not there yet."""
-        seconds = COMPILING.get(stage.module, 0.0)
-        if not seconds or kernels(session, stage, self.device) in self.kernels:
-            return 0.0
-        return seconds * self.pace
+        compiled = load_stage(stage.module).compiled
+        return 0.0 if compiled is None or self.device != "cpu" or compiled() else COMPILING * self.pace
 
     def alone(self, session: Session, stage: Stage, sizes: Sizes) -> Guess:
         """Of one stage, if nothing else ran and its kernels are compiled."""
@@ -223,7 +196,7 @@ class Times:
         sizes, stages = sizes_of(session, "frames" not in todo), session.pipeline.stages
         found = {name: self.alone(session, stages[name], sizes) for name in todo}
         if first:
-            more = {name: self.compiling(session, stages[name]) for name in todo}
+            more = {name: self.compiling(stages[name]) for name in todo}
             found = {name: Guess(one.seconds + more[name], one.off, more[name]) for name, one in found.items()}
         share = free() if now and sum(one.seconds for one in found.values()) > WORTH else 1.0
         return {name: Guess(one.seconds / share, one.off, one.compiling / share) for name, one in found.items()}
@@ -235,8 +208,8 @@ def _slow(row: Row) -> float:
 
 def here(device: str) -> Times:
     """The times of this machine, with 'cpu' or 'cuda'."""
-    count, known = processors(), kept()
-    return Times([row for row in known.rows if (row.device, row.processors) == (device, count)], known.kernels, device)
+    count = processors()
+    return Times([row for row in kept() if (row.device, row.processors) == (device, count)], device)
 
 
 def expected(

@@ -102,7 +102,7 @@ class Promise:
         missing = [name for name, verdict in found.items() if not verdict.fresh]
         sizes = times.sizes_of(self.session, "frames" not in missing)._replace(steps=LEAST)
         stage = self.session.pipeline.stages["train"]
-        train = known.alone(self.session, stage, sizes).seconds + known.compiling(self.session, stage)
+        train = known.alone(self.session, stage, sizes).seconds + known.compiling(stage)
         least = 0.0 if begun else train + STAGE_START * (1 + len(self._after()))
         free = times.free() if missing or not begun else 1.0
         ahead = known.forecast(self.session, [*missing, "train", *self._after()])

@@ -200,6 +200,8 @@ class StageModule:
     """check(params, **sources): StageError where `run` would refuse its settings, or files that the user gave, for what they
     are. It is quick, needs no other stage, and refuses nothing that `run` takes. Its keyword-only parameters name sources,
     which are None where they are not given."""
+    compiled: Callable[[], bool] | None = None
+    """compiled(): whether the kernels that it runs on a CPU are there, and need not be compiled first."""
     published: Published | None = None
     """published(dataset, sequence): the paper's PSNR, SSIM and LPIPS by region, empty if it has none."""
 
@@ -223,9 +225,8 @@ def keywords(function: Callable[..., None]) -> list[str]:
 def load_stage(name: str) -> StageModule:
     """Import a stage's module by its dotted name. The only way from the command line to a stage."""
     module = importlib.import_module(name)
-    optional = {
-        key: getattr(module, key, None) for key in ("RESUMES", "LOADS", "cost", "SHORTER", "check", "published")
-    }
+    known = ("RESUMES", "LOADS", "cost", "SHORTER", "check", "compiled", "published")
+    optional = {key: getattr(module, key, None) for key in known}
     given = {key.lower(): value for key, value in optional.items() if value is not None}
     return StageModule(module.Params, module.run, **given)
 

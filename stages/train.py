@@ -33,11 +33,16 @@ def cost(params: Params, folders: Mapping[str, Path]) -> float:
     return sum(steps for _, steps in finishing_parts(len(people_of(folders["sfm"]))))
 
 
+def compiled() -> bool:
+    """See `contract.StageModule`."""
+    from stages.avatar.compiled import is_compiled
+
+    return is_compiled("rasterize/blend.py", "draw_backward")
+
+
 def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> None:
     """Fit the Gaussians of person, or people, and scene to the frames, jointly."""
     began = time.perf_counter()
-    from stages.avatar.kernels.cache import compiled
-    from stages.avatar.rasterize.blend import draw_backward
     from stages.training.checkpoint import Checkpoint
     from stages.training.files import write, write_curve
     from stages.training.run import Breakdown
@@ -47,7 +52,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
     if params.seconds and not params.joint:
         hint = "give `train.steps` in place of a time, or leave out `train.joint`"
         raise StageError("only a training of person and scene together can be fitted into a time", hint)
-    if job.device == "cpu" and not compiled(draw_backward):
+    if job.device == "cpu" and not compiled():
         job.note("the drawing kernels are compiled for this processor first, once: half a minute")
     task, checkpoint = _task(job, params, sfm, smpl, survey), Checkpoint(job.out / CHECKPOINT, job.device)
     try:

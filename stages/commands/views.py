@@ -93,17 +93,13 @@ def run(
 
 def _draw(job: Job, cast: Cast, views: dict[str, Camera]) -> None:
     """Write a picture of each view, with alpha."""
-    import numpy as np
-
-    from stages.avatar.drawing.pixels import to_uint8
+    from stages.avatar.drawing.pixels import cut_out
     from stages.formats.images import write_image
 
     job.out.mkdir(parents=True, exist_ok=True)
     for number, (name, view) in enumerate(views.items()):
-        image, alpha = cast.at(number).picture(view)
-        color = image / np.maximum(alpha, 1 / 255)[..., None]
         with job.writes(job.out / f"{name}.png") as picture:
-            write_image(picture, to_uint8(np.concatenate([color, alpha[..., None]], 2)))
+            write_image(picture, cut_out(*cast.at(number).picture(view)))
 
 
 def _views(cameras: Path) -> dict[str, Camera]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -155,9 +155,7 @@ def plane_of_bodies(soles: np.ndarray, ups: np.ndarray, held_error: float) -> Pl
         right = (terms * weight[:, None]).T @ heights - np.r_[certain @ leans, 0]
         solution = np.linalg.solve(information, right)
     covariance = np.linalg.inv(information)
-    normal, offset = _plane(solution, axes, place)
-    tilt = np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])
-    return Plane(normal, offset, 0, float(np.sqrt(covariance[2, 2])), float(tilt))
+    return _plane(solution, axes, place, covariance)
 
 
 def _fitted(things: np.ndarray, plane: Plane, place: np.ndarray, reach: float) -> Plane | None:
@@ -184,17 +182,17 @@ def _fitted(things: np.ndarray, plane: Plane, place: np.ndarray, reach: float) -
     left = heights - terms @ solution
     spread = (weight * left**2).sum() / weight.sum()
     covariance = np.linalg.inv(information) * spread * (PATCH / CELL) ** 2
-    normal, offset = _plane(solution, axes, origin)
-    members = int((np.abs(things[kept] @ normal + offset) < THICK).sum())
-    tilt = np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])
-    return Plane(normal, offset, members, float(np.sqrt(covariance[2, 2])), float(tilt))
+    found = _plane(solution, axes, origin, covariance)
+    return replace(found, members=int((np.abs(found.height(things[kept])) < THICK).sum()))
 
 
-def _plane(solution: np.ndarray, axes: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, float]:
-    """Normal and offset of the plane that rises by solution [0] and [1] a metre along `axes`, [2] m over `origin`."""
+def _plane(solution: np.ndarray, axes: np.ndarray, origin: np.ndarray, covariance: np.ndarray) -> Plane:
+    """The plane that rises by solution [0] and [1] a metre along `axes`, [2] m over `origin`, with the `covariance` of these."""
     normal = axes[:, 2] - axes[:, :2] @ solution[:2]
     normal /= np.linalg.norm(normal)
-    return normal, float(-normal @ (origin + solution[2] * axes[:, 2]))
+    tilt = np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])
+    offset = float(-normal @ (origin + solution[2] * axes[:, 2]))
+    return Plane(normal, offset, 0, float(np.sqrt(covariance[2, 2])), float(tilt))
 
 
 def _axes(up: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation, Slerp
 
-from stages.avatar.cameras.pinhole import look_at, pinhole
+from stages.avatar.cameras.pinhole import camera_centers, look_at, pinhole
 from stages.avatar.rasterize import Camera
 from stages.contract import StageError
 from stages.filming.cast import Actor
@@ -91,7 +91,7 @@ def _to_and_fro(viewmats: np.ndarray, times: np.ndarray, count: int, fps: float)
     wanted = np.arange(count) / fps % (2 * at[-1])
     wanted = np.where(wanted > at[-1], 2 * at[-1] - wanted, wanted)
     turns = Slerp(at, Rotation.from_matrix(path[:, :3, :3]))(wanted).as_matrix()
-    centers = -(path[:, :3, :3].mT @ path[:, :3, 3:])[..., 0]
+    centers = camera_centers(path)
     eyes = np.stack([np.interp(wanted, at, axis) for axis in centers.T], 1)
     return _views(turns, eyes)
 

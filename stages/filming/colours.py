@@ -11,7 +11,7 @@ from stages.avatar.drawing.cast import Moment
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.gaussians import Splats
 from stages.formats.clip import Clip
-from stages.formats.images import shrink
+from stages.formats.images import evenly, shrink
 from stages.records import Ground
 
 FRAMES, SIDE = 16, 120  # of a clip that are looked at, and their longer side in px
@@ -71,10 +71,9 @@ def look_of(pixels: np.ndarray) -> Look | None:
 
 def look_of_clip(clip: Clip) -> Look | None:
     """The look of a clip's frames beside the person."""
-    rows = np.unique(np.linspace(0, len(clip.names) - 1, FRAMES).round().astype(int))
     found = []
-    for i in rows:
-        picture, mask = shrink(clip.images(int(i)), SIDE), np.repeat(clip.mask(int(i))[..., None], 3, 2)
+    for i in evenly(len(clip.names), FRAMES):
+        picture, mask = shrink(clip.images(i), SIDE), np.repeat(clip.mask(i)[..., None], 3, 2)
         found.append(picture[shrink(mask, SIDE)[..., 0] < 64])
     return look_of(np.concatenate(found))
 

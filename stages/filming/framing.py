@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stages.avatar.body.joints import FEET, HEAD, HIPS, SHOULDERS
-from stages.avatar.cameras.pinhole import look_at, pinhole
+from stages.avatar.cameras.pinhole import camera_centers, look_at, pinhole
 from stages.avatar.rasterize import Camera
 from stages.filming.cameras import AUTO, CROWN, cameras_of, crowd
 from stages.filming.cast import Actor
@@ -111,7 +111,7 @@ def _framing(joints: np.ndarray, scale: float, up: np.ndarray, cameras: Sequence
     gone = out.all(1)
     head, feet = out[:, 0] & ~gone, out[:, 1 : 1 + len(FEET)].any(1) & ~gone
     across = sum(joints[:, left] - joints[:, right] for left, right in (HIPS, SHOULDERS))
-    eyes = -(views[:, :3, :3].mT @ views[:, :3, 3:])[..., 0]
+    eyes = camera_centers(views)
     back = (np.cross(across, up) * (eyes - joints[:, 0])).sum(1) < 0
     return Framing(*(float(part.mean()) for part in (head, feet, gone, back)))
 

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from stages.avatar.drawing.cast import Cast, Moment
-from stages.avatar.drawing.pixels import to_uint8
+from stages.avatar.drawing.pixels import cut_out, to_uint8
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.rasterize import Camera
 from stages.filming.cast import Actor
@@ -50,9 +50,7 @@ class Shoot:
         """The people of a picture alone, without shadows, uint8 [H,W,4], alpha not multiplied into colour."""
         with torch.no_grad():
             alone = Cast(self.cast, None, FrameEffects(shading=self.setting.shading)).at(number)
-        image, alpha = alone.picture(self.cameras[number])
-        color = image / np.maximum(alpha, 1 / 255)[..., None]
-        return to_uint8(np.concatenate([color, alpha[..., None]], 2))
+        return cut_out(*alone.picture(self.cameras[number]))
 
     @cached_property
     def _light(self) -> FrameEffects:

@@ -11,10 +11,12 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
+from stages.avatar.cameras.pinhole import onto
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import depths
 from stages.filming.setting import Setting
 from stages.filming.spec import Film, Person
+from stages.formats.images import evenly
 from stages.records import Ground
 
 Place = tuple[float, float]
@@ -68,9 +70,9 @@ def views_of(setting: Setting, count: int) -> list[View]:
     clip, found = setting.clip, []
     if clip is None:
         return []
-    ratio, last = SMALL / max(clip.width, clip.height), len(clip.names) - 1
+    ratio = SMALL / max(clip.width, clip.height)
     width, height = round(ratio * clip.width), round(ratio * clip.height)
-    for i in np.unique(np.linspace(0, last, count).round().astype(int)) if count > 1 else [len(clip.names) // 2]:
+    for i in evenly(len(clip.names), count) if count > 1 else [len(clip.names) // 2]:
         K, depth = np.diag([ratio, ratio, 1]) @ clip.Ks[i], np.full((height, width), np.inf)
         if setting.splats is not None:
             z, _, alpha = depths(setting.splats, Camera.of(clip.viewmats[i], K, width, height).to(setting.splats.means))
@@ -145,7 +147,7 @@ def _box(spot: Place, view: View, ground: Ground) -> tuple[np.ndarray, float]:
     angles = np.linspace(0, 2 * np.pi, 8, endpoint=False)
     rim = [(spot[0] + RADIUS * np.cos(a), y, spot[1] + RADIUS * np.sin(a)) for a in angles for y in (0.0, TALL)]
     points = (np.array(rim) @ ground.turn.T + ground.point) @ view.viewmat[:3, :3].T + view.viewmat[:3, 3]
-    pixels = points[:, :2] / np.maximum(points[:, 2:], RADIUS) * view.K[[0, 1], [0, 1]] + view.K[:2, 2]
+    pixels = onto(points, view.K, RADIUS)
     return np.array([pixels.min(0), pixels.max(0)]), float(points[:, 2].min())
 
 

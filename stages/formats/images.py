@@ -29,6 +29,11 @@ PNG = [
 TURNS, MIRRORED = {3: 2, 4: 2, 5: -1, 6: -1, 7: 1, 8: 1}, (2, 4, 5, 7)
 
 
+def evenly(count: int, most: int) -> list[int]:
+    """At most `most` of the rows of `count`, spread evenly, the first and the last among them."""
+    return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int)).tolist()
+
+
 def read_pixels(path: Path) -> np.ndarray:
     """Read any picture OpenImageIO knows as [H,W,channels] upright: uint8 or uint16 as stored, anything else float32.
 

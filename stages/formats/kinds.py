@@ -1,4 +1,4 @@
-"""What a file is by its first bytes, for the words about one that is something else than was wanted."""
+"""What a file is by its first bytes, and what a folder holds, for the words about what is not as was wanted."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 HEAD = 1024
+LISTED = 12  # names of a folder's files in an error
 What = Literal["picture", "sound", "archive", "playlist", "text"]
 HEADS: tuple[tuple[bytes, What, str], ...] = (
     (rb"\xff\xd8\xff", "picture", "JPEG"),
@@ -39,6 +40,11 @@ class Kind(NamedTuple):
     def __str__(self) -> str:
         article = "an" if self.what == "archive" else "" if self.what == "sound" else "a"
         return f"{article} {self.what} ({self.name})".strip() if self.name else f"{article} {self.what}"
+
+
+def names_in(folder: Path) -> str:
+    """What a folder holds, for the words about one that lacks what was wanted."""
+    return ", ".join(sorted(path.name for path in folder.iterdir())[:LISTED]) or "nothing"
 
 
 def kind_of(path: Path) -> Kind | None:

@@ -6,10 +6,10 @@ import math
 from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
 import OpenImageIO as oiio
 
 from stages.formats.facts import Told
+from stages.formats.images import evenly
 from stages.formats.pictures import picture_files
 from stages.formats.video import open_video
 
@@ -34,8 +34,7 @@ def told_focal(path: Path, width: int, height: int) -> Told | None:
     to_share = math.hypot(width, height) / max(width, height) / DIAGONAL_MM
     if Path(path).is_dir():
         files = picture_files(path)
-        some = [files[i] for i in np.unique(np.linspace(0, len(files) - 1, LOOKED_AT).round().astype(int))]
-        told = {_of_picture(file, to_share) for file in some}
+        told = {_of_picture(files[i], to_share) for i in evenly(len(files), LOOKED_AT)}
         share, what = told.pop() or (0.0, "")
         return Told(share=share, spread=PICTURE_SPREAD, words=f"EXIF, {what}") if share and not told else None
     container, stream = open_video(path)

@@ -39,6 +39,8 @@ class Params(contract.Params):
     """Cells along each side of a triplane."""
     views_per_decode: int = Field(8, gt=0)
     """Training frames drawn for each run of the person's networks, whose gradients they share."""
+    networks_until: float = Field(0.65, ge=0, le=1)
+    """Share of the steps after which the person's networks rest; each Gaussian's own corrections go on."""
     perceptual_every: int = Field(0, ge=0)
     """A perceptual (LPIPS) term on the person every so many steps; 0 = never. Slow without a GPU."""
     perceptual_weight: float = Field(0.2, ge=0)

@@ -10,10 +10,12 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from stages.avatar.body.smpl import vertex_normals
+from stages.avatar.cameras.pinhole import onto
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.shadow import Casters, casters
 from stages.avatar.effects.speeds import Speeds
 from stages.avatar.model.person import Resting, Surfels, bone_transforms, pose
+from stages.avatar.rasterize import Camera
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.neighbours import spread_evenly
 from stages.records import JOINTS
@@ -37,22 +39,24 @@ class Views(NamedTuple):
     moments: Tensor | None = None
     gains: Tensor | None = None
 
+    def camera(self, frame: int) -> Camera:
+        """The camera of a frame."""
+        height, width = self.masks.shape[1:]
+        return Camera(self.viewmats[frame], self.Ks[frame], width, height)
+
     def half(self) -> Views:
         """The same at half the resolution, by area."""
-        height, width = (max(1, n // 2) for n in self.masks.shape[1:])
-        images = torch.stack(
-            [shrunk(image.permute(2, 0, 1), (height, width)).permute(1, 2, 0) for image in self.images]
-        )
-        masks = torch.stack([shrunk(mask[None], (height, width))[0] for mask in self.masks])
-        Ks = self.Ks.clone()
-        Ks[:, 0] *= width / self.masks.shape[2]
-        Ks[:, 1] *= height / self.masks.shape[1]
+        images, masks, Ks = halved(self.images), halved(self.masks[..., None])[..., 0], self.Ks.clone()
+        Ks[:, 0] *= masks.shape[2] / self.masks.shape[2]
+        Ks[:, 1] *= masks.shape[1] / self.masks.shape[1]
         return self._replace(images=images, masks=masks, Ks=Ks)
 
 
-def shrunk(picture: Tensor, size: tuple[int, int]) -> Tensor:
-    """A picture uint8 [C,H,W] at another size, by area: in floats one at a time, whatever the clip's length."""
-    return F.adaptive_avg_pool2d(picture.float(), size).round().to(torch.uint8)
+def halved(pictures: Tensor) -> Tensor:
+    """Pictures uint8 [F,H,W,C] at half the resolution, by area: in floats one at a time, whatever the clip's length."""
+    half = max(1, pictures.shape[1] // 2), max(1, pictures.shape[2] // 2)
+    small = [F.adaptive_avg_pool2d(one.permute(2, 0, 1).float(), half).round().to(torch.uint8) for one in pictures]
+    return torch.stack([one.permute(1, 2, 0) for one in small])
 
 
 class FittedBody(NamedTuple):
@@ -133,7 +137,7 @@ def person_box(mask: Tensor, points: Tensor, viewmat: Tensor, K: Tensor) -> tupl
     local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
     local = local[local[:, 2] > NEAR]
     if len(local):
-        at = local[:, :2] / local[:, 2:] * K.diagonal()[:2] + K[:2, 2]
+        at = onto(local, K)
         found.append(torch.cat([at.amin(0).floor(), at.amax(0).ceil()]))
     if not found:
         return 0, 0, width, height

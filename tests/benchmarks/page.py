@@ -27,6 +27,7 @@ HEAD = (
 )
 PERSON = ("person_crop", "person_white")
 """Where the person is compared: in the picture, or over white where there is no scene."""
+NOWHERE = "–"
 BLOCK = re.compile(r"(<!-- (table|about|phone) -->\n).*?(?=<!-- end -->)", re.DOTALL)
 NUMBER = re.compile(r"(-?\d[\d,]*(?:\.(\d+))?)(<!-- ([a-z]\w*(?:\.\w+)+) -->)")
 
@@ -37,14 +38,16 @@ def scored(regions: dict[str, dict[str, float | None]] | None, *names: str) -> s
         found = (regions or {}).get(name)
         if found and found["psnr"] is not None:
             return f"{found['psnr']:.1f} / {found['ssim']:.3f} / {found['lpips']:.3f}"
-    return "–"
+    return NOWHERE
 
 
 def line(clip: str, pipeline: str, row: dict[str, Any]) -> str:
     """A row of the table."""
     if "failed" in row:
         return f"| {clip} | `{pipeline}` | fails: {row['failed']} | | | | | | |"
-    back = row.get("held_back", {})
+    back, far = row.get("held_back", {}), scored(row.get("heldout_far"), *PERSON)
+    poses = scored(back.get("poses"), *PERSON)
+    poses = f"farthest: {far}" if "poses" not in back and far != NOWHERE else poses
     cells = [
         clip,
         f"`{' '.join((pipeline, *row['options']))}`",
@@ -53,7 +56,7 @@ def line(clip: str, pipeline: str, row: dict[str, Any]) -> str:
         scored(row["heldout"], "full"),
         scored(row["heldout"], *PERSON),
         scored(back.get("views"), *PERSON),
-        scored(back.get("poses"), *PERSON),
+        poses,
         scored(back.get("empty"), "full"),
     ]
     return f"| {' | '.join(cells)} |"

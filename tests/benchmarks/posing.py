@@ -17,9 +17,10 @@ import torch
 
 from hugs.avatar import Avatar
 from stages import records
-from stages.avatar.drawing.avatar import PosedAvatar, load_avatar, pose_avatar
+from stages.avatar.drawing.avatar import PosedAvatar, load_avatar
 from stages.formats.splats import read_avatar
 from tests.benchmarks.host import clock, summary, tell, use_threads
+from tests.made.learned import pose_avatar
 
 AT_ONCE = 64  # poses
 ROUNDS = 7  # of both, in turns; the first warms up

@@ -109,8 +109,9 @@ def facts(results: Path) -> dict[str, Any]:
         "minutes_by_stage": {name: round(value / 60, 2) for name, value in seconds.items()},
         "gib": round(max(stamp.peak_memory_bytes for stamp in stamps.values()) / 2**30, 2),
         "gaussians": metrics["gaussians"],
-        "heldout": {
-            region: {metric: found[metric] for metric in METRICS} for region, found in metrics["heldout"].items()
+        **{
+            protocol: {one: {metric: found[metric] for metric in METRICS} for one, found in metrics[protocol].items()}
+            for protocol in ("heldout", "heldout_far")
         },
     }
 

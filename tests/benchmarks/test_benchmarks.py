@@ -1,5 +1,10 @@
 """The benchmarks measure what they say: makers agree, times add up, sizes are right."""
 
+import os
+import signal
+import subprocess
+import sys
+import time
 from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,7 +18,17 @@ from stages.avatar import rasterize
 from stages.estimators.detectors.every import DETECTORS
 from stages.formats.body_model import read_body_model
 from stages.records import Scene
-from tests.benchmarks import approximations, effect_models, effects, effects_off, ideas, loose, posing, train_step
+from tests.benchmarks import (
+    approximations,
+    effect_models,
+    effects,
+    effects_off,
+    ideas,
+    loose,
+    posing,
+    promises,
+    train_step,
+)
 from tests.benchmarks.host import all_threads, use_threads
 from tests.benchmarks.naive import Naive, project
 from tests.benchmarks.rasterizer import Torch, distance
@@ -22,6 +37,7 @@ from tests.benchmarks.train_step import Stopwatch, resized, timed_parts
 from tests.benchmarks.workloads import random_work
 from tests.made import one_pose
 from tests.made.clothes import dress, some_clothes
+from tests.made.command import ROOT
 from tests.made.synthetic.wardrobe import MAKERS
 from tests.made.tiny import make_avatar
 from tests.made.training import fit_of, make_clip, run
@@ -39,6 +55,38 @@ def test_the_naive_kernel_draws_what_ours_draws():
     for a, b in zip(naive.gradients(), ours.gradients(), strict=True):
         assert distance(a, b) < 1e-4
     assert 5 < naive.pairs.mean() < 15
+
+
+def test_a_countdown_is_judged_at_half_time_and_until_it_is_nearly_over():
+    said = [(0.0, 90.0), (30.0, 70.0), (49.0, 55.0), (51.0, 20.0), (97.0, 0.5), (99.0, 0.0)]
+    found = promises.judged(said, 100.0)
+    assert found == {"guess": 90, "took": 100, "to_go": 50, "said": 55, "off": 0.1, "least": 0.5}
+
+
+@pytest.mark.slow
+def test_what_computes_beside_a_run_ends_however_that_ends():
+    with promises.other_work(1) as (other,):
+        assert other.poll() is None and os.getsid(other.pid) == other.pid
+    assert other.returncode == -signal.SIGKILL
+    lines = "from tests.benchmarks.promises import other_work", "with other_work(1) as (one,):"
+    script = "\n".join([*lines, " print(one.pid, flush=True)", " input()"])
+    with subprocess.Popen([sys.executable, "-c", script], cwd=ROOT, stdin=-1, stdout=-1) as one:
+        other = int(one.stdout.readline())
+        one.kill()
+    end = time.monotonic() + 30
+    while not gone(other):
+        if time.monotonic() > end:
+            os.kill(other, signal.SIGKILL)
+            pytest.fail("it went on")
+        time.sleep(0.1)
+
+
+def gone(process: int) -> bool:
+    """Whether a process has ended, waited for or not."""
+    try:
+        return not Path(f"/proc/{process}/cmdline").read_bytes()
+    except FileNotFoundError:
+        return True
 
 
 def test_exclusive_times_add_up_to_the_total(monkeypatch):

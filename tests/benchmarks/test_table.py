@@ -47,6 +47,10 @@ def test_the_page_has_what_was_measured_and_a_dash_where_nothing_was():
         "| kitchen | `default` | 17m 33s | 1.4 GiB | 29.2 / 0.934 / 0.080 | 26.8 / 0.934 / 0.080 | – | – | – |" in lines
     )
     assert lines[-1].endswith("| – | 29.2 / 0.934 / 0.080 | – | 19.2 / 0.934 / 0.080 | – |")
+    far = {"heldout_far": {"full": SCORES, "person_crop": SCORES | {"psnr": 25.31}}}
+    assert page.line("kitchen", "default", ROW | far).endswith("| farthest: 25.3 / 0.934 / 0.080 | – |")
+    assert page.line("spin", "default", STANDS | far) == lines[-1], "there is a truth"
+    assert page.line("kitchen", "default", ROW | {"heldout_far": {"full": NOTHING}}) in lines
     failed = copy.deepcopy(MADE)
     failed["rows"]["spin"]["default"] = {"failed": "error: no"}
     assert "fails: error: no" in page.as_table(failed)

@@ -10,12 +10,13 @@ import hugs
 from stages.avatar.body.rotations import matrix_from_quat
 from stages.avatar.body.smpl import Body
 from stages.avatar.drawing.attach import attach
-from stages.avatar.drawing.avatar import load_avatar, pose_avatar
+from stages.avatar.drawing.avatar import load_avatar
 from stages.formats.body_model import read_body_model
 from stages.formats.hands_face import read_hands_face
 from stages.formats.splats import write_splats
 from stages.gestures import FACE_NAMES
 from tests.made.clothes import dress, some_clothes
+from tests.made.learned import pose_avatar
 from tests.made.tiny import make_avatar
 
 RNG = np.random.default_rng(0)

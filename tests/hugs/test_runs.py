@@ -1,19 +1,21 @@
 """`hugs.run`: results, cache, errors and Ctrl-C of the command, from this process."""
 
 import inspect
+import json
 import signal
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import fields
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 import hugs
+from hugs_cli import app
 from hugs_cli.options import RunOptions
 from tests.made.flow import ALL, WHOLE, Flow
 from tests.made.said import holds
+from tests.made.timed import add_tiny
 
 FILE = "pipelines.yaml"
 
@@ -68,9 +70,25 @@ def test_ctrl_c_stops_the_stage_and_the_next_call_goes_on(flow):
     assert "began at step" in said and "began at step 0" not in said and flow.text("four") == WHOLE
 
 
+@pytest.mark.slow
+def test_a_run_within_a_time_is_that_of_the_command(flow):
+    add_tiny(flow)
+    heard: list[hugs.Progress] = []
+    folder = hugs.run("clip.mp4", "tiny", within="60s", progress=heard.append, pipelines_file=FILE)
+    assert folder == Path("work/clip/tiny.60s") and ended(heard) == [(n, "done") for n in ("one", "train", "after")]
+    assert 0 < json.loads((folder / "train" / "out.json").read_text())["seconds"] < 60
+    assert any(holds(one, "promised", "1m 00s", "took") for now in heard for one in now.said)
+    assert flow.ran("--pipeline", "tiny", "--within", "60s") == {}, "the command finds all of it"
+    hugs.run("clip.mp4", "tiny", within="60s", force=True, progress=heard.append, pipelines_file=FILE)
+    assert ended(heard)[3:] == ended(heard)[:3], "no stage is found when all are forced"
+    for text, pipeline, fact in (("", "tiny", "is not a time"), ("soon", "tiny", "soon"), ("60s", "default", "train")):
+        with pytest.raises(hugs.StageError, match=fact):
+            hugs.run("clip.mp4", pipeline, within=text, pipelines_file=FILE)
+
+
 def test_all_that_a_run_may_be_given_may_be_given_from_python(monkeypatch):
-    """The options of the command, but `--set`, which is `settings`."""
-    taken = {field.name for field in fields(RunOptions)} - {"set_"}
+    """The options of the command, but `--set`, which is `settings`, and those of what it prints and of which stages it runs."""
+    taken = set(inspect.signature(app.run).parameters) - {"set_", "stages", "dry_run", "as_json"}
     assert taken <= set(inspect.signature(hugs.run).parameters)
     seen: list[RunOptions] = []
     monkeypatch.setattr("hugs.runs._finish", lambda given, *rest: seen.append(given))

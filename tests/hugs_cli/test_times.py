@@ -11,7 +11,8 @@ import pytest
 from hugs_cli import pipelines, times
 from hugs_cli.cache.freshness import Session
 from hugs_cli.cache.workspace import Workspace
-from hugs_cli.times import OFF, SHORT, Sizes, here, learn, total, usual, work
+from hugs_cli.times import COMPILING, OFF, SHORT, Sizes, here, learn, total, usual, work
+from stages import train
 from tests.made.said import holds
 
 USUAL = times.USUAL["default"][1]
@@ -24,7 +25,7 @@ def free(monkeypatch, tmp_path):
     share = [1.0]
     monkeypatch.setenv("HUGS_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(times, "free", lambda: share[0])
-    monkeypatch.setattr(times, "COMPILING", {})
+    monkeypatch.setattr(train, "compiled", lambda: True)
     return share
 
 
@@ -141,35 +142,29 @@ def test_what_tells_nothing_is_not_kept(free, tmp_path, monkeypatch):
     train = clip.pipeline.stages["train"]
     learn(clip, train, SHORT / 2, "cpu")
     learn(clip, replace(train, params=train.params.model_copy(update={"seconds": 600.0})), 500.0, "cpu")
-    assert times.kept().rows == []
+    assert times.kept() == []
     learn(clip, train, 500.0, "cpu")
-    assert [row.seconds for row in times.kept().rows] == [500]
+    assert [row.seconds for row in times.kept()] == [500]
     for _ in range(times.KEPT):
         learn(clip, train, 700.0, "cpu")
-    rows = times.kept().rows
+    rows = times.kept()
     assert {row.seconds for row in rows} == {700} and len(rows) == times.KEPT
 
 
-def test_what_compiling_takes_is_expected_of_a_first_run_and_learned_from_none(free, tmp_path, monkeypatch):
-    monkeypatch.setattr(times, "COMPILING", {"stages.train": 30.0, "stages.smpl": 2.0})
-    clip, code = session(tmp_path), {"stages.avatar.one": "a", "stages.train": "b"}
-    monkeypatch.setattr(type(clip.code), "digests", lambda self, module: code)
+def test_what_compiling_takes_is_expected_where_no_kernels_are_and_learned_from_none(free, tmp_path, monkeypatch):
+    clip, there = session(tmp_path), []
+    monkeypatch.setattr(train, "compiled", lambda: bool(there))
     first = forecast(clip)
-    assert (first.seconds, first.compiling) == pytest.approx((WHOLE + 32, 32))
-    assert holds(times.said(first), "32.0 s") and not holds(times.said(first._replace(compiling=0.0)), "32.0 s")
+    assert (first.seconds, first.compiling) == pytest.approx((WHOLE + COMPILING, COMPILING))
+    assert holds(times.said(first), "34.0 s") and not holds(times.said(first._replace(compiling=0.0)), "34.0 s")
     assert not here("cpu").forecast(clip, ["train"], first=False)["train"].compiling, "another run compiles before"
+    assert not here("cuda").forecast(clip, ["train"])["train"].compiling, "of a CPU"
     for name, stage in clip.pipeline.stages.items():
-        compiling = times.COMPILING.get(stage.module, 0.0)
+        compiling = COMPILING if name == "train" else 0.0
         learn(clip, stage, 2 * USUAL[name] + compiling, "cpu", compiling)
+    assert forecast(clip).compiling == pytest.approx(2 * COMPILING), "as slow as that machine is, until they are there"
+    there.append(True)
     assert forecast(clip)[::2] == pytest.approx((2 * WHOLE, 0)), "nor is it taken for a slow machine"
-    code["stages.train"] = "c"
-    assert not forecast(clip).compiling, "no kernel is changed"
-    code["stages.avatar.one"] = "c"
-    assert forecast(clip).compiling == pytest.approx(64), "as slow as that machine is"
-    learn(clip, clip.pipeline.stages["train"], SHORT / 2, "cpu")
-    assert forecast(clip).compiling == pytest.approx(4), "a stage that is too short to be kept has compiled, too"
-    code["stages.avatar.one"] = "a"
-    assert not forecast(clip).compiling, "those of another installation, or of code of before, are still there"
 
 
 @pytest.mark.parametrize(
@@ -185,6 +180,6 @@ def test_what_compiling_takes_is_expected_of_a_first_run_and_learned_from_none(f
 def test_a_file_that_cannot_be_read_is_as_none(free, tmp_path, content):
     times.folder().mkdir(parents=True)
     times.file().write_text(content)
-    assert times.kept().rows == [] and forecast(session(tmp_path)).off == OFF[0]
+    assert times.kept() == [] and forecast(session(tmp_path)).off == OFF[0]
     run(session(tmp_path), dict(USUAL))
-    assert len(times.kept().rows) == len(USUAL)
+    assert len(times.kept()) == len(USUAL)

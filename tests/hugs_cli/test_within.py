@@ -13,39 +13,8 @@ from hugs_cli.pipelines import UsageError
 from hugs_cli.times import STAGE_START
 from tests.made.flow import Flow
 from tests.made.said import holds
+from tests.made.timed import AFTER, add_tiny
 
-TRAIN = """
-'''Writes what it was told; fails while there is a file `stop` beside the video.'''
-import json
-from pathlib import Path
-from stages.contract import Params as Base, StageError
-
-RESUMES = True
-
-class Params(Base):
-    seconds: float = 0
-    reserve: float = 0
-    reserve_least: float = 0
-    size: int = 1
-
-def cost(params, folders):
-    return 30 + 10 * len(folders)
-
-def run(job, params, *, one):
-    '''Write one file.'''
-    if Path({stop!r}).exists():
-        raise StageError("stopped")
-    (job.out / "out.json").write_text(json.dumps(params.model_dump()))
-    (job.out / "train.json").write_text(json.dumps({{"last_step_seconds": {step}}}))
-"""
-AFTER = """
-'''Comes after.'''
-from stages.contract import Params
-
-def run(job, params, *, train):
-    '''Write one file.'''
-    (job.out / "out.txt").write_text("done")
-"""
 FIT_STEPS = """from stages.contract import Params as Base
 
 class Params(Base):
@@ -56,17 +25,6 @@ SHORTER = {"fit_steps": 0}
 def cost(params, folders):
     return 2 * params.fit_steps
 """
-
-
-def add_tiny(flow):
-    """The flow, and a pipeline `tiny` of it with a train stage and one after it."""
-    flow.write("train", TRAIN.format(stop=str(flow.folder / "stop"), step=0.1))
-    flow.write("after", AFTER)
-    stages = {"one": "video", "train": "one", "after": "train"}
-    lines = "".join(f"    {n}: {{needs: [{need}], module: flow.{n}}}\n" for n, need in stages.items())
-    file = flow.folder / "pipelines.yaml"
-    file.write_text(f"{file.read_text()}tiny:\n  doc: Tiny.\n  stages:\n{lines}")
-    return flow
 
 
 @pytest.fixture
@@ -280,7 +238,7 @@ def test_results_within_a_time_are_kept_when_only_code_changes(timed):
 @pytest.mark.parametrize("given", [1.0, 0.5, 0.2])
 def test_a_busy_machine_is_part_of_the_first_guess(clip, monkeypatch, given):
     monkeypatch.setattr(times, "free", lambda: given)
-    monkeypatch.setattr(times, "kept", lambda: times.Kept())
+    monkeypatch.setattr(times, "kept", list)
     monkeypatch.syspath_prepend(clip.folder)
     run = options.RunOptions(pipeline="tiny", work=clip.work, pipelines_file=clip.folder / "pipelines.yaml")
     session = run.session(clip.folder / "clip.mp4")

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from stages import records
-from stages.avatar.drawing.avatar import Baked, PosedAvatar, load_avatar
+from stages.avatar.drawing.avatar import Baked, PosedAvatar, bones_of, load_avatar, posed_by
 from stages.avatar.drawing.cast import Cast, Moment
 from stages.avatar.effects.frames import FrameEffects, load_effects
 from stages.avatar.model.scene import load_scene
@@ -20,6 +20,11 @@ from stages.filming.clip_cast import completed
 from stages.formats.body_model import read_body_model
 
 Pose = tuple[np.ndarray, np.ndarray, np.ndarray]  # global_orient [3], body_pose [69] in rad, transl [3] in m
+
+
+def pose_avatar(avatar: Baked, global_orient: torch.Tensor, body_pose: torch.Tensor, transl: torch.Tensor) -> Splats:
+    """The avatar in the world at one pose: global_orient[3], body_pose[69] axis-angle, transl[3] m."""
+    return posed_by(avatar, bones_of(avatar, global_orient, body_pose), transl)
 
 
 @dataclass(frozen=True)

@@ -107,8 +107,8 @@ def twin(fit: Fit) -> Fit:
     """A copy of a training between two decodes, which a test may change; its networks are decoded anew."""
     left: dict[int, Tensor | None] = {}
     for who in fit.people:
-        assert who.leaves is None
-        left |= {id(vars(who).get(name)): None for name in ("shared", "decoded", "prior")}
+        assert who.leaves is None or not fit.networks_learn
+        left |= {id(vars(who).get(name)): None for name in ("leaves", "shared", "decoded", "prior")}
         left[id(who.pull)] = who.pull.detach()
     return copy.deepcopy(fit, left)
 

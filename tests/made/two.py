@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -13,7 +15,7 @@ from stages.avatar.splats.compose import draw_together
 from stages.avatar.splats.gaussians import together
 from stages.avatar.splats.sh import sh_from_rgb
 from stages.training.step.fit import Fit
-from stages.training.step.outlines import Outline, outlines
+from stages.training.step.outlines import outlines
 from stages.training.step.person import Starting
 from stages.training.views import FittedBody, Views
 from tests.made.skeleton import PARENTS
@@ -82,12 +84,11 @@ def model(person: FittedBody, seed: int) -> HumanModel:
 
 
 def fit_of_two(
-    clip: tuple[Views, list[FittedBody], list[Tensor]], steps: int = 40, alone: int | None = None, **more
+    clip: tuple[Views, list[FittedBody], list[Tensor]], steps: int = 40, order: Sequence[int] = (0, 1), **more
 ) -> Fit:
-    """The training of both; `alone` of one, the other masked away."""
+    """The training of both, in this order."""
     views, people, masks = clip
-    seen: list[Outline] = outlines(views, masks, people)
-    chosen = [0, 1] if alone is None else [alone]
-    starting = [Starting(people[k], model(people[k], 1 + k), seen[k]) for k in chosen]
+    seen = outlines(views, [masks[k] for k in order], [people[k] for k in order])
+    starting = [Starting(people[k], model(people[k], 1 + k), outline) for k, outline in zip(order, seen, strict=True)]
     how = settings(steps, **{"exposure": False} | more)
     return Fit(views, TRAIN, starting, make_wall(1), *how, torch.Generator().manual_seed(3))

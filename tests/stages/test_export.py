@@ -67,6 +67,24 @@ def test_what_is_written_by_default(clip, out):
     assert (out / "avatar.npz").read_bytes() == (clip["train"] / "avatar.npz").read_bytes()
 
 
+def test_a_format_that_is_off_takes_no_work(clip, tmp_path, monkeypatch):
+    def never(*_, **__):
+        raise AssertionError("it runs")
+
+    writers = "avatar_glb avatar_vrm splats_glb motion_bvh spz sog usd".split()
+    others = [f"stages.formats.exchange.{name}.write_{name}" for name in writers]
+    for one in ("stages.avatar.surface.mesh.surface_of", "stages.filming.clip_page.clip_page", *others):
+        monkeypatch.setattr(one, never)
+    monkeypatch.setattr(export, "_takes", never)
+    made(clip, tmp_path / "out", formats=["ply"])
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "avatar.npz",
+        "avatar.ply",
+        "ground.json",
+        "scene.ply",
+    ]
+
+
 def test_in_viewers_who_take_y_as_down_person_and_scene_stand_upright(out):
     """The head is yellow: it has the smallest y of the turned person; the scene is the world with y down, as it was."""
     avatar = read_avatar(out / "avatar.npz")

@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from stages import evaluate, render, train
-from stages.avatar.drawing.avatar import load_avatar, pose_avatar
+from stages.avatar.drawing.avatar import load_avatar
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.model.person import Canonical, rest
 from stages.avatar.model.scene import load_scene
@@ -43,6 +43,7 @@ from stages.training.step import losses
 from stages.training.step.fit import Fit
 from stages.training.timing.deadline import Pace
 from stages.training.timing.finishing import GAINS, HIDDEN, SETTLING, SHAPING, WRITING, Finishing, finishing_parts
+from tests.made.learned import pose_avatar
 from tests.made.said import any_holds, holds
 from tests.made.training import posed, twin
 
@@ -636,8 +637,9 @@ def test_a_person_whose_poses_nothing_trusts_is_a_clear_error(tmp_path, inputs):
 
 
 @pytest.mark.slow
-def test_the_last_steps_teach_the_person_though_they_are_no_whole_group(inputs):
-    fit = begun(inputs, PARAMS.model_copy(update={"steps": 1, "views_per_decode": 2})).fit
+@pytest.mark.parametrize("until", [0.4, 1.0])
+def test_the_last_steps_teach_the_person_though_they_are_no_whole_group(inputs, until):
+    fit = begun(inputs, PARAMS.model_copy(update={"steps": 1, "views_per_decode": 2, "networks_until": until})).fit
     fit.advance()
     assert fit.people[0].color_grad_sum.sum() > 0
 

@@ -31,17 +31,18 @@ from tests.tools import gallery, strip
 CLIPS = "kitchen", "courtyard", "juggler"
 PLACE = ROOT / "docs" / "pictures"
 TALL, QUALITY = {"films": 518, "dance": 420}, 75  # px, of WebP
+WINDOW = 800  # px of the page, in which its controls stand in a line
 BACK, HALL = 1.0, (560, 594)  # m behind the clip's camera, px
 OPEN = "document.body?.matches('.open, .stuck')"
-BIN = """
+PAUSE = "new Promise(done => setTimeout(done, 3000))"  # until films show a picture
+TWO = """
 scene: work/kitchen/default
 people:
-  - {avatar: work/kitchen/default, motion: clip, at: [0, -0.4]}
-  - {avatar: work/courtyard/default, motion: clip, at: [0.6, 0.1]}
+  - {avatar: work/kitchen/default, motion: clip, at: [-0.25, 0]}
+  - {avatar: work/courtyard/default, motion: clip, at: [0.45, -0.35]}
 camera: still
-light: above
 """
-MOMENTS = {"films": (0.5, 2.0, 3.6, 5.5), "dance": (1.2, 2.5)}  # s of a film
+MOMENTS = {"films": (0.5, 2.0, 3.0, 4.2), "dance": (1.2, 2.5)}  # s of a film
 
 
 def main(kitchen: Path, courtyard: Path, juggler: Path, names: Sequence[str]) -> None:
@@ -54,9 +55,9 @@ def main(kitchen: Path, courtyard: Path, juggler: Path, names: Sequence[str]) ->
         made: dict[str, Callable[[], None]] = {
             "strip": lambda: strip.main(kitchen, PLACE / "strip.webp"),
             "report": lambda: write(
-                "report", screen(kitchen / "report.html", room, (1140, 1250), ["--disable-gpu"], LOADED)
+                "report", screen(kitchen / "report.html", room, (1140, 1250), ["--disable-gpu"], LOADED, PAUSE)
             ),
-            "films": lambda: write("films", beside("films", moments(room, "films", BIN))),
+            "films": lambda: write("films", beside("films", moments(room, "films", TWO))),
             "dance": lambda: write(
                 "dance", beside("dance", [*moments(room, "dance", dance(room), page="dance.html"), page(room)])
             ),
@@ -93,16 +94,17 @@ def moments(room: Path, name: str, text: str, **out: str) -> list[np.ndarray]:
 
 
 def page(room: Path) -> np.ndarray:
-    """The film's page at its first moment."""
-    seen = f"hugs.player.set({{position: {MOMENTS['dance'][0]} * hugs.player.motion.fps}})"
-    return screen(room / "dance.html", room, (TALL["dance"], TALL["dance"]), SOFTWARE, OPEN, seen)
+    """The film's page at its first moment, as fine as a graphics card draws it."""
+    moment = f"hugs.player.set({{position: {MOMENTS['dance'][0]} * hugs.player.motion.fps}})"
+    then = f"hugs.player.stage.pace.share = () => 1; {moment}; hugs.player.stage.idle()"
+    return screen(room / "dance.html", room, (WINDOW, WINDOW), SOFTWARE, OPEN, then)
 
 
-def screen(page: Path, room: Path, size: tuple[int, int], flags: list[str], until: str, then: str = "0") -> np.ndarray:
-    """A page as Chromium shows it, uint8 [H,W,3]."""
+def screen(page: Path, room: Path, size: tuple[int, int], flags: list[str], until: str, then: str) -> np.ndarray:
+    """A page as Chromium shows it once it is open and the promise `then` is kept, uint8 [H,W,3]."""
     with contextlib.closing(Page(room / f"profile-{page.stem}", size, flags)) as tab:
         tab.open(page, until)
-        tab.run(f"{then}; new Promise(done => setTimeout(done, 3000))")
+        tab.run(then)
         data = base64.b64decode(tab.ask("Page.captureScreenshot")["data"])
         return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
 

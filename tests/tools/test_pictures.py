@@ -4,7 +4,7 @@ import numpy as np
 import yaml
 
 from tests.docs.documents import ROOT
-from tests.tools.pictures import BIN, CLIPS, TALL, beside, shown_film
+from tests.tools.pictures import CLIPS, TALL, TWO, beside, shown_film
 
 
 def test_the_films_are_of_the_three_clips():
@@ -12,9 +12,9 @@ def test_the_films_are_of_the_three_clips():
     assert [one["avatar"] for one in shown["people"]] == [f"work/{clip}/default" for clip in CLIPS]
     assert shown["camera"] == "hall.npz" and shown["out"].keys() == {"film", "page"}
     caption = (ROOT / "docs" / "films.md").read_text()
-    two = yaml.safe_load(BIN)
-    assert all(f"`{key}: {two[key]}`" in caption for key in ("light", "camera"))
-    assert f"put {-two['people'][0]['at'][1]} m back" in caption
+    two = yaml.safe_load(TWO)
+    assert f"`camera: {two['camera']}`" in caption
+    assert f"put {-two['people'][0]['at'][0]} m to his right" in caption
 
 
 def test_a_row_is_of_one_height():

@@ -18,6 +18,7 @@ from scipy.ndimage import binary_closing, distance_transform_edt, gaussian_filte
 from scipy.spatial import cKDTree
 
 from stages.avatar.body.joints import ANKLES, ELBOWS, FEET, HANDS, HIPS, KNEES, SHOULDERS, WRISTS
+from stages.avatar.cameras.pinhole import onto
 from stages.avatar.splats.neighbours import farthest_points
 
 REACH = 0.32  # m from the skin: as far as cloth is looked for
@@ -191,7 +192,7 @@ def _seen(space: Space, sight: Sight) -> tuple[np.ndarray, np.ndarray, tuple[np.
     blend = (space.weights @ sight.bones[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
     world = np.einsum("pab,pb->pa", blend[..., :3], space.points) + blend[..., 3]
     local = world @ sight.viewmat[:3, :3].T + sight.viewmat[:3, 3]
-    at = np.floor(local[:, :2] / np.maximum(local[:, 2:], 1e-3) * np.diag(sight.K)[:2] + sight.K[:2, 2])
+    at = np.floor(onto(local, sight.K, 1e-3))
     height, width = sight.mask.shape
     shown = (local[:, 2] > 0.05) & (at >= 0).all(1) & (at < [width, height]).all(1)
     column, row = at[shown].astype(int).T

@@ -9,6 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from stages.avatar.kernels.products import turned
 from stages.avatar.splats.neighbours import nearest
 
 WEIGHT_GAP = 0.0021
@@ -38,8 +39,8 @@ def skin(points: Tensor, weights: Tensor | FewBones, bones: Tensor) -> tuple[Ten
     else:
         blend = weights @ rows
     blend = blend.unflatten(1, (3, 4))
-    linear = blend[..., :3]
-    return (linear @ points[..., None])[..., 0] + blend[..., 3], linear
+    linear = blend[..., :3].contiguous()  # once for all that is turned
+    return turned(linear, points) + blend[..., 3], linear
 
 
 @torch.no_grad()

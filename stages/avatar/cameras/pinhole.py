@@ -29,6 +29,11 @@ def project(points: Array, viewmat: Array, K: Array) -> tuple[Array, Array]:
     return homogeneous[..., :2], z
 
 
+def onto(points: Array, K: Array, nearest: float = -float("inf")) -> Array:
+    """Pixels [N,2] of points [N,3] in a camera's axes, by a `K` [3,3] without skew; depths below `nearest` are taken as that."""
+    return points[:, :2] / points[:, 2:].clip(nearest) * K.diagonal()[:2] + K[:2, 2]
+
+
 def unproject(pixels: np.ndarray, inverse: np.ndarray, viewmat: np.ndarray, K: np.ndarray) -> np.ndarray:
     """World points [N,3] of pixels [N,2] with inverse depths 1/z [N], for a `viewmat` [4,4] and a `K` [3,3] without skew."""
     rays = np.concatenate([(pixels - [K[0, 2], K[1, 2]]) / [K[0, 0], K[1, 1]], np.ones((len(pixels), 1))], 1)

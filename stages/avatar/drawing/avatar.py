@@ -132,11 +132,6 @@ def rested(avatar: Baked, resting: Resting) -> Baked:
     return avatar._replace(resting=resting, stretch=stretch)
 
 
-def pose_avatar(avatar: Baked, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Splats:
-    """The avatar in the world at one pose: global_orient[3], body_pose[69] axis-angle, transl[3] m. No network runs."""
-    return posed_by(avatar, bones_of(avatar, global_orient, body_pose), transl)
-
-
 def posed_by(avatar: Baked, bones: Tensor, transl: Tensor, face: Tensor | None = None) -> Splats:
     """The avatar in the world where `bones`[J,4,4], see `bones_of`, and `transl`[3] m take it, with coefficients `face` [52]."""
     resting = avatar.resting if face is None else mimed(avatar, face)

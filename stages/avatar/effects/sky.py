@@ -11,7 +11,7 @@ import math
 import numpy as np
 from scipy.ndimage import label
 
-from stages.avatar.cameras.pinhole import camera_centers, project
+from stages.avatar.cameras.pinhole import camera_centers, onto, project
 
 RADIUS = 300.0  # extents: a camera that moves by one sees the shell turn by 0.2 degrees
 DIRECTIONS = 60_000  # over the whole sphere: 0.8 degrees apart, which training divides where it needs to
@@ -51,7 +51,7 @@ def shell(
     for sky, image, viewmat, K in zip(skies, images, viewmats, Ks, strict=True):
         local = ways @ viewmat[:3, :3].T  # directions have no place to project
         ahead = (local[:, 2] > 1e-3).nonzero()[0]
-        at = local[ahead, :2] / local[ahead, 2:] * [K[0, 0], K[1, 1]] + [K[0, 2], K[1, 2]]
+        at = onto(local[ahead], K)
         inside = (at >= 0).all(1) & (at < [sky.shape[1], sky.shape[0]]).all(1)
         rows, (column, row) = ahead[inside], at[inside].astype(int).T
         rows, row, column = (part[sky[row, column]] for part in (rows, row, column))

@@ -6,9 +6,7 @@ Numba misses an edit of a function that another file's kernel calls (numba #1833
 from __future__ import annotations
 
 import atexit
-import hashlib
 import os
-import re
 import shutil
 import stat
 import tempfile
@@ -16,23 +14,10 @@ import time
 from pathlib import Path
 
 import numba
-from numba.core.dispatcher import Dispatcher
 
-HOUSE = Path(__file__).parents[1]
-ROOM = "stages.avatar.kernels"
-IMPORTED = re.compile(r"^from (stages\.avatar[\w.]*) import", re.MULTILINE)
+from stages.avatar.compiled import places
+
 KEPT = 30 * 86400.0  # s; a process marks its folder when it begins, and none runs for a month
-
-
-def sources(house: Path = HOUSE) -> list[Path]:
-    """Files of the package `avatar` that define kernels, or constants that kernels read: those that import `kernels`,
-    and what they import.
-    """
-    texts = {file: file.read_text() for file in sorted(house.rglob("*.py"))}
-    named = {".".join(file.relative_to(house.parents[1]).with_suffix("").parts): file for file in texts}
-    own = [file for file, text in texts.items() if f"from {ROOM}" in text or file.parent == house / "kernels"]
-    read = (named.get(module) for file in own for module in IMPORTED.findall(texts[file]))
-    return sorted({*own, *filter(None, read)})
 
 
 def folder() -> Path:
@@ -41,15 +26,13 @@ def folder() -> Path:
 
     Removes folders of other sources that no process has begun with for KEPT seconds.
     """
-    digest = hashlib.sha256(b"".join(file.read_bytes() for file in sources())).hexdigest()[:16]
-    home = Path(os.environ.get("HUGS_CACHE") or Path.home() / ".cache" / "hugs")
-    for root in (home, Path(tempfile.gettempdir()) / f"hugs-{os.getuid()}"):
-        place = root / "kernels" / digest
+    for place, followed in zip(places(), (True, False), strict=True):
+        root = place.parents[1]
         try:
             root.mkdir(mode=0o700, parents=True, exist_ok=True)
             place.parent.mkdir(mode=0o700, exist_ok=True)
             place.mkdir(mode=0o700, exist_ok=True)
-            top = root.resolve() if root is home else root  # a link of the user's own is followed
+            top = root.resolve() if followed else root  # a link of the user's own
             if os.access(place, os.W_OK) and is_ours(top) and is_ours(place.parent) and is_ours(place):
                 place.touch()
                 tidy(place.parent, time.time() - KEPT)
@@ -79,11 +62,6 @@ def tidy(root: Path, before: float) -> None:
                 continue
             if old:
                 shutil.rmtree(entry.path, ignore_errors=True)
-
-
-def compiled(kernel: Dispatcher) -> bool:
-    """Whether this installation has compiled a kernel of Numba before, for this processor or another."""
-    return any(Path(str(kernel.stats.cache_path)).glob(f"*.{kernel.py_func.__name__}-*.nbi"))
 
 
 FOLDER = folder()

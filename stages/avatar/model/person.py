@@ -11,7 +11,7 @@ from stages.avatar.body.rotations import matrix_from_rotvec
 from stages.avatar.body.skinning import FewBones, skin
 from stages.avatar.body.smpl import rest_relative_transforms
 from stages.avatar.body.stretch import Stretch
-from stages.avatar.kernels.products import products
+from stages.avatar.kernels.products import products, turned
 from stages.avatar.splats.gaussians import Splats
 
 
@@ -68,7 +68,7 @@ def rest(person: Canonical, canonical_bones: Tensor) -> Resting:
     """Take the person back to the rest pose: `taken_back` by `canonical_bones`[J,4,4] (rest to canonical)."""
     means, rotations = taken_back(person.means, person.weights, canonical_bones)
     axes = products(rotations, person.rotations * person.scales[:, None, :])
-    normals = (rotations @ person.normals[..., None])[..., 0]
+    normals = turned(rotations, person.normals)
     return Resting(means, axes, person.opacities, person.sh, person.weights, rotations, normals)
 
 
@@ -82,7 +82,7 @@ def taken_back(means: Tensor, weights: Tensor, canonical_bones: Tensor) -> tuple
     """
     blend = (weights @ canonical_bones[:, :3].flatten(1)).unflatten(1, (3, 4))
     rotations = _inverse(blend[..., :3])
-    return (rotations @ (means - blend[..., 3])[..., None])[..., 0], rotations
+    return turned(rotations, means - blend[..., 3]), rotations
 
 
 def _inverse(matrices: Tensor) -> Tensor:
@@ -102,5 +102,5 @@ def pose(
     means, blend = skin(person.means, person.weights if few is None or bones.requires_grad else few, bones)
     rotations = products(blend, person.rotations) if person.sh.shape[1] > 1 else None
     axes = products(blend, person.axes) if stretch is None else stretch.grown(means, blend)
-    normals = (blend.detach() @ person.normals[..., None])[..., 0]
+    normals = turned(blend.detach(), person.normals)
     return Splats(means + transl, axes, person.opacities, person.sh, rotations, normals=normals)

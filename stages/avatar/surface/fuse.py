@@ -16,6 +16,7 @@ from skimage.measure import marching_cubes
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
+from stages.avatar.cameras.pinhole import onto
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import depths
 from stages.avatar.splats.gaussians import Splats
@@ -69,7 +70,7 @@ def _distances(points: Tensor, splats: Splats, cameras: Sequence[Camera]) -> Ten
         depth, variance, alpha = depths(splats, camera)
         sure = (alpha > OUTLINE) & (variance < UNSURE**2)
         local = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
-        at = local[:, :2] / local[:, 2:] * camera.K.diagonal()[:2] + camera.K[:2, 2]
+        at = onto(local, camera.K)
         column, row = at.long().T
         pixel = row.clamp(0, camera.height - 1) * camera.width + column.clamp(0, camera.width - 1)
         ahead = depth.flatten()[pixel] - local[:, 2]

@@ -12,6 +12,7 @@ from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
+from stages.avatar.cameras.pinhole import onto
 from stages.avatar.drawing.cast import Moment
 from stages.avatar.kernels.mesh import fill
 from stages.avatar.rasterize import Camera
@@ -87,7 +88,7 @@ def _seen(
     there = vertices @ view[:3, :3].T.astype(np.float64) + view[:3, 3]
     depth, _, _ = fill(there, faces, camera.K.numpy().astype(np.float64), *size)
     local = places[rows] @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
-    at = local[:, :2] / local[:, 2:] * camera.K.diagonal()[:2] + camera.K[:2, 2]
+    at = onto(local, camera.K)
     column, row = at.long().T
     shown = torch.as_tensor(depth).float().clamp(max=1e6)[row, column] > local[:, 2] - BEHIND
     rows, unit = rows[shown], 2 * at[shown] / torch.tensor(size) - 1

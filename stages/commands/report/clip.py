@@ -11,7 +11,7 @@ import numpy as np
 
 from stages.commands.report.results import who_of
 from stages.formats import page
-from stages.formats.images import read_image, read_mask
+from stages.formats.images import evenly, read_image, read_mask
 
 if TYPE_CHECKING:
     from stages.formats.clip import Clip
@@ -102,8 +102,7 @@ def seen_from_above(viewmats: np.ndarray, points: np.ndarray, colors: np.ndarray
 
 
 def _spread(names: Sequence[str]) -> list[str]:
-    chosen = np.linspace(0, len(names) - 1, min(SHOWN, len(names))).round().astype(int)
-    return [names[i] for i in chosen]
+    return [names[i] for i in evenly(len(names), SHOWN)]
 
 
 def _small(image: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from stages.avatar.body.smpl import Body
+from stages.avatar.cameras.pinhole import onto
 from stages.avatar.kernels.mesh import NEAR, fill
 from stages.records import BodyModel, BodyPoses
 
@@ -45,7 +46,7 @@ def seen_vertices(points: np.ndarray, faces: np.ndarray, Ks: np.ndarray, chosen:
     seen = np.zeros((len(points), len(chosen)), bool)
     for i, (body, K) in enumerate(zip(points, Ks, strict=True)):
         body = body * [1, 1, 0] + [0, 0, 1] * body[:, 2:].clip(NEAR)
-        pixels = body[:, :2] / body[:, 2:] * K[[0, 1], [0, 1]] + K[:2, 2]
+        pixels = onto(body, K)
         low, side = pixels.min(0), max(np.ptp(pixels, axis=0).max(), 1e-6)
         zoom = VISIBLE_SIDE / side
         into = np.array(

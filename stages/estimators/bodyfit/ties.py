@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from stages.avatar.cameras.pinhole import onto
 from stages.avatar.kernels.mesh import NEAR, fill
 from stages.estimators.bodyfit.flow import MARGIN, PLACES, SIDE, Crop, SurfaceFlow, kept, length, sample, there_and_back
 
@@ -80,7 +81,7 @@ class Ties:
     def _draw(self, frame: _Frame, K: np.ndarray, points: np.ndarray) -> _Drawn:
         body = np.concatenate([points[:, :2], points[:, 2:].clip(NEAR)], 1)
         into = frame.crop.into(K)
-        pixels = body[:, :2] / body[:, 2:] * into[[0, 1], [0, 1]] + into[:2, 2]
+        pixels = onto(body, into)
         depth, face, weights = fill(body, self.faces, into, SIDE, SIDE)
         return _Drawn(frame.crop, frame.picture, frame.inner, depth, face, weights, pixels, body[:, 2])
 

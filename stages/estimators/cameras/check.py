@@ -19,7 +19,7 @@ from stages.estimators.cameras.colmap import Cloud
 from stages.estimators.cameras.motion import Pair
 from stages.estimators.cameras.sparse_model import Pinholes, write_ignored
 from stages.estimators.cameras.stillness import ONE_WAY, measure_stillness
-from stages.formats.images import read_image
+from stages.formats.images import evenly, read_image
 
 MATCHES_OFF = 0.01  # of the longer side: matches farther from their epipolar lines contradict the cameras
 MATCHES_ROUGH = 0.001  # of it: true cameras of `courtyard` and `kitchen` have 0.0001
@@ -162,7 +162,7 @@ def color_agreement(images: Path, found: Pinholes, cloud: Cloud, size: tuple[int
     point = np.repeat(np.arange(len(cloud.tracks)), [len(track) for track in cloud.tracks])
     frame = np.concatenate([*cloud.tracks, np.zeros(0, np.int64)])
     cameras, seen_at = [way.cameras(found, size) for way in WAYS], [[np.zeros((2, 0))] for _ in WAYS]
-    for i in np.unique(np.linspace(0, len(found.names) - 1, LOOKED_AT).round().astype(int)):
+    for i in evenly(len(found.names), LOOKED_AT):
         image = read_image(images / f"{found.names[i]}.png").astype(np.float64).mean(2)
         for way, (viewmats, Ks), both in zip(WAYS, cameras, seen_at, strict=True):
             seen = point[frame == (i + way.later) % len(found.names)]

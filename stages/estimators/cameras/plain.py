@@ -16,7 +16,7 @@ import numpy as np
 
 from stages.estimators.cameras.motion import STATIC_PX
 from stages.estimators.cameras.stillness import CELLS, COVERED, FEW, LOOKED_AT, MOST, SOME, STAYS
-from stages.formats.images import read_image, read_mask
+from stages.formats.images import evenly, read_image, read_mask
 
 SIDE = 480  # px: the pictures' longer side, as they are compared
 BLUR, SOFT = 2.0, 8.0  # px of it: noise is averaged away; what moves by the limit moves by less. SOFT: light on a wall
@@ -72,7 +72,7 @@ class Views:
 
 def look(images: Path, ignored: Path, files: list[str]) -> Views:
     """Pictures spread over the whole clip; `ignored` has a mask of the same name for each, 0 = not looked at."""
-    chosen = np.unique(np.linspace(0, len(files) - 1, LOOKED_AT).round().astype(int))
+    chosen = np.array(evenly(len(files), LOOKED_AT))
     grey, seen, rough, scale = [], [], [], 1.0
     reach = np.ones((2 * round(2 * BLUR) + 1,) * 2, np.uint8)
     for file in [files[i] for i in chosen]:

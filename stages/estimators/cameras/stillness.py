@@ -14,7 +14,7 @@ import numpy as np
 
 from stages.estimators.cameras.motion import STATIC_PX
 from stages.estimators.corners import Choice, follow_pair
-from stages.formats.images import read_image, read_mask
+from stages.formats.images import evenly, read_image, read_mask
 
 LOOKED_AT = 12  # frames, evenly spread; each is compared with those 1, 2, 4 and 8 of these later
 CORNERS = Choice(most=1600, apart=0, quality=0.01, returns=0.5)
@@ -48,7 +48,7 @@ def measure_stillness(images: Path, ignored: Path, files: list[str]) -> Stillnes
 
     `ignored` has a mask of the same name for each picture, 0 = not looked at.
     """
-    chosen = [files[i] for i in np.unique(np.linspace(0, len(files) - 1, LOOKED_AT).round().astype(int))]
+    chosen = [files[i] for i in evenly(len(files), LOOKED_AT)]
     frames = [(cv2.cvtColor(read_image(images / f), cv2.COLOR_RGB2GRAY), read_mask(ignored / f) > 0) for f in chosen]
     rows = []
     for gap in (1, 2, 4, 8):

@@ -14,6 +14,7 @@ from stages.estimators.detectors.light import frame_gains
 from stages.estimators.detectors.tracks import Tracks, follow
 from stages.formats.clip import Clip
 from stages.formats.facts import Sfm
+from stages.formats.images import evenly
 
 FRAMES = 30  # enough for a median or a share; detectors that look at pictures take this many
 
@@ -53,8 +54,7 @@ class ClipEvidence:
     @cached_property
     def sampled(self) -> list[int]:
         """At most FRAMES frames, evenly spread."""
-        count = len(self.clip.names)
-        return np.unique(np.linspace(0, count - 1, min(FRAMES, count)).round().astype(int)).tolist()
+        return evenly(len(self.clip.names), FRAMES)
 
     @cached_property
     def bodies(self) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 from ai_edge_litert.interpreter import Interpreter
 
 from stages.estimators import assets
-from stages.estimators.person.crops import Roi, crop, to_picture
+from stages.estimators.person.crops import Roi, crop, infer, to_axes, to_picture
 
 CROP_SIDE = 224  # px, the network's own
 POINTS = 21
@@ -49,17 +49,11 @@ class HandNetwork:
         """The hand in a crop of a picture uint8 [H,W,3]; `left`: a left one is looked for."""
         pixels = crop(image, roi, CROP_SIDE, cv2.BORDER_REPLICATE).astype(np.float32) / 255
         pixels = pixels[:, ::-1] if left else pixels
-        self.network.set_tensor(self.network.get_input_details()[0]["index"], np.ascontiguousarray(pixels[None]))
-        self.network.invoke()
-        points, presence, right, world = (
-            self.network.get_tensor(output["index"])[0] for output in self.network.get_output_details()
-        )
+        points, presence, right, world = infer(self.network, pixels)
         spots, world = points.reshape(POINTS, 3)[:, :2] / CROP_SIDE, world.reshape(POINTS, 3).astype(np.float64)
         if left:
             spots, world = np.array([[1, 0]]) + spots * [-1, 1], world * [-1, 1, 1]
-        c, s = np.cos(roi.angle), np.sin(roi.angle)
-        turned = world @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
-        return SeenHand(to_picture(spots, roi), turned, float(presence[0]), float(right[0]), roi)
+        return SeenHand(to_picture(spots, roi), to_axes(world, roi), float(presence[0]), float(right[0]), roi)
 
     def read(self, image: np.ndarray, roi: Roi, left: bool) -> SeenHand:
         """The hand near a crop: a first look finds it, a second one sees it in the crop that fits."""

@@ -15,7 +15,8 @@ import numpy as np
 from ai_edge_litert.interpreter import Interpreter
 
 from stages.estimators import assets
-from stages.estimators.person.crops import Roi, crop, to_picture
+from stages.estimators.person.crops import Roi, crop, infer, to_axes, to_picture
+from stages.formats.images import evenly
 from stages.formats.landmarks import COUNT, MIRRORED, NAMES
 from stages.records import SeenLandmarks
 
@@ -141,8 +142,7 @@ class BlazePose:
             spots[:, 0] = 1 - spots[:, 0]
             mask = mask[:, ::-1]
         xy = to_picture(spots, roi)
-        c, s = np.cos(roi.angle), np.sin(roi.angle)
-        turned = world[:COUNT] @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+        turned = to_axes(world[:COUNT], roi)
         pose = Pose(
             xy[:COUNT],
             sigmoid(points[:COUNT, 3]) * sigmoid(points[:COUNT, 4]),
@@ -206,7 +206,7 @@ class BlazePose:
         """
         found = []
         rows = np.arange(len(images)) if among is None else np.asarray(among, int)
-        for i in rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), most)).round().astype(int))]:
+        for i in rows[evenly(len(rows), most)]:
             image = images[i]
             here: list[Sighting] = []
             hits = self.search(image)
@@ -278,13 +278,6 @@ def torso_share(pose: Pose, mask: np.ndarray) -> float:
     x, y = pose.xy[TORSO].astype(int).T
     inside = (x >= 0) & (y >= 0) & (x < mask.shape[1]) & (y < mask.shape[0])
     return float((mask[y[inside], x[inside]] > 127).sum() / len(TORSO))
-
-
-def infer(network: Interpreter, pixels: np.ndarray) -> list[np.ndarray]:
-    """Run one picture [H,W,3] through a network and give its outputs in the order of their names."""
-    network.set_tensor(network.get_input_details()[0]["index"], np.ascontiguousarray(pixels[None], np.float32))
-    network.invoke()
-    return [network.get_tensor(output["index"])[0] for output in network.get_output_details()]
 
 
 def refine(points: np.ndarray, heat: np.ndarray) -> np.ndarray:

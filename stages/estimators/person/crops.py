@@ -1,4 +1,4 @@
-"""Square crops of a picture, as the networks look at a person."""
+"""Square crops of a picture, as the networks look at a person, and what they answer."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from ai_edge_litert.interpreter import Interpreter
 
 ROI_MARGIN = 1.25  # the person's circle is enlarged by this to make a crop
 APART = 0.3  # of a crop's side: people whose crops' centres are nearer are the same
@@ -67,3 +68,16 @@ def to_picture(points: np.ndarray, roi: Roi) -> np.ndarray:
     """Take points [N,2] in 0..1 of a crop to picture px."""
     matrix = roi.matrix()
     return points @ matrix[:, :2].T + matrix[:, 2]
+
+
+def to_axes(points: np.ndarray, roi: Roi) -> np.ndarray:
+    """Turn points [N,3] about their middle from the axes of a crop into those of the picture."""
+    c, s = np.cos(roi.angle), np.sin(roi.angle)
+    return points @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+
+
+def infer(network: Interpreter, pixels: np.ndarray) -> list[np.ndarray]:
+    """Run one picture [H,W,3] through a network and give its outputs in the order of their names."""
+    network.set_tensor(network.get_input_details()[0]["index"], np.ascontiguousarray(pixels[None], np.float32))
+    network.invoke()
+    return [network.get_tensor(output["index"])[0] for output in network.get_output_details()]

@@ -10,6 +10,7 @@ from stages.estimators.person.blazepose import SEEDS, BlazePose, Images, Pose, S
 from stages.estimators.person.crops import Roi
 from stages.estimators.person.outline import paste
 from stages.estimators.person.people import describe_place
+from stages.formats.images import evenly
 
 PAINT = 128  # grey of those who are painted over
 FAINT, RIM = 0.2, 0.03  # probability, and share of the crop's side around it, from which a pixel is painted over
@@ -33,7 +34,7 @@ def everybody(job: Job, network: BlazePose, images: Images) -> list[Sighting]:
     Who counts is seen again half-way to the frames looked at before or after, and is not part of a picture that never
     changes: a note says where somebody may be who does not.
     """
-    looked = np.unique(np.linspace(0, len(images) - 1, min(len(images), SEEDS)).round().astype(int)).tolist()
+    looked = evenly(len(images), SEEDS)
     seen = {i: sight_in(network, images[i], i) for i in looked}
     best, machines = list[Sighting](), list[Sighting]()
     for k in sorted(range(len(looked)), key=lambda k: _clarity(seen[looked[k]]), reverse=True):

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from stages.estimators.corners import Choice, follow_pair
+from stages.formats.images import evenly
 
 PAIRS = 10  # of frames that are compared
 SIDE = 240  # px of the longer side, at which they are
@@ -22,7 +23,7 @@ def lies_elsewhere(count: int, image: Callable[[int], np.ndarray], mask: Callabl
 
     `image` gives the i-th of `count` frames uint8 [H,W,3], `mask` its mask uint8 [H,W]. False where too little moves to tell.
     """
-    first = np.unique(np.linspace(0, count - 2, PAIRS).round().astype(int)).tolist() if count > 1 else []
+    first = evenly(count - 1, PAIRS) if count > 1 else []
     shares = (_share(image(i), image(i + 1), mask(i), mask(i + 1)) for i in first)
     found = [share for share in shares if share is not None]
     return len(found) >= PAIRS // 2 and float(np.mean(np.array(found) < ELSEWHERE)) >= NEARLY_ALL

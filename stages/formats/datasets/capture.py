@@ -21,6 +21,7 @@ from stages.formats.arrays import checked, read_npz, take, write_npz
 from stages.formats.cameras import write_cameras
 from stages.formats.facts import write_facts
 from stages.formats.images import read_image, shrink, write_image, write_mask
+from stages.formats.kinds import names_in
 from stages.formats.points import write_points
 from stages.records import Cameras
 
@@ -127,6 +128,6 @@ def require(folder: Path, wanted: tuple[str, ...], what: str, pipeline: str) -> 
     if missing:
         kind = "there is no such folder" if not folder.exists() else "a file" if folder.is_file() else "a folder with "
         if folder.is_dir():
-            kind += ", ".join(sorted(path.name for path in folder.iterdir())[:8]) or "nothing in it"
+            kind += names_in(folder)
         hint = f"`hugs run FOLDER --pipeline {pipeline}` takes the folder that holds {' and '.join(wanted)}"
         raise StageError(f"{folder} is not {what}", hint, [f"missing: {', '.join(missing)}", f"found: {kind}"])

@@ -10,6 +10,7 @@ from stages.contract import StageError
 from stages.formats.given_cameras import colmap_binary, colmap_text
 from stages.formats.given_cameras.colmap_text import HINT
 from stages.formats.given_cameras.record import GivenCameras, checked_pose, one_size
+from stages.formats.kinds import names_in
 
 FILES = ("cameras", "images", "points3D")
 
@@ -30,7 +31,7 @@ def read_colmap(folder: Path) -> GivenCameras:
     paths = [folder / f"{name}{suffix}" for name in FILES]
     missing = [path.name for path in paths if not path.is_file()]
     if missing:
-        found = ", ".join(sorted(path.name for path in folder.iterdir())[:12]) if folder.is_dir() else "no such folder"
+        found = names_in(folder) if folder.is_dir() else "no such folder"
         raise StageError(f"the COLMAP model in {folder} lacks {', '.join(missing)}", HINT, [f"found: {found}"])
     lenses = reader.lens_rows(paths[0])
     images = sorted(reader.picture_rows(paths[1]), key=lambda image: image[3])

@@ -10,6 +10,7 @@ from stages.formats.given_cameras.colmap_model import is_model, read_colmap
 from stages.formats.given_cameras.record import GivenCameras, checked_lens, without_points
 from stages.formats.given_cameras.transforms_json import read_transforms
 from stages.formats.images import same_shape
+from stages.formats.kinds import names_in
 
 HINT = "`--cameras` takes the folder of a COLMAP model (cameras, images, points3D as .bin or .txt), or transforms.json"
 PLACES = ("", "*", "sparse/*", "colmap/sparse/*")
@@ -55,8 +56,7 @@ def _only_one(folder: Path) -> Path:
     if found:
         names = ", ".join(str(place.relative_to(folder)) for place in found)
         raise StageError(f"{len(found)} sets of cameras in {folder}", "give one of them", [names])
-    inside = ", ".join(sorted(file.name for file in folder.iterdir())[:12]) or "nothing"
-    raise StageError(f"no cameras in {folder}", HINT, [f"it holds {inside}"])
+    raise StageError(f"no cameras in {folder}", HINT, [f"it holds {names_in(folder)}"])
 
 
 def _ours(path: Path) -> GivenCameras:

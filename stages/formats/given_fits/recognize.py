@@ -29,6 +29,7 @@ from stages.formats.given_fits.npz import TRANSL, read_plain
 from stages.formats.given_fits.people import read_phalp, read_romp
 from stages.formats.given_fits.record import SmplFit, join_fits
 from stages.formats.given_fits.video import read_gvhmr, read_prompthmr, read_tram, read_wham
+from stages.formats.kinds import names_in
 from stages.formats.tool_pickles import read_tool_file
 
 HINT = (
@@ -81,8 +82,7 @@ def _read_folder(folder: Path, size: tuple[int, int]) -> SmplFit:
     ]
     if fits and {fit.tool for fit in fits} in ({"ROMP"}, {"SAM 3D Body"}):
         return join_fits(fits, str(folder))
-    found = ", ".join(sorted(file.name for file in folder.iterdir())[:8]) or "nothing"
-    raise StageError(f"{folder} holds no known SMPL fit", HINT, [f"found {found}"])
+    raise StageError(f"{folder} holds no known SMPL fit", HINT, [f"found {names_in(folder)}"])
 
 
 def _json(path: Path) -> Any:

@@ -7,6 +7,7 @@ lib/models/hmr_vimo.py, PromptHMR pipeline/pipeline.py and phmr_vid.py.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,20 +33,13 @@ def read_wham(content: dict[Any, Any], path: str, size: tuple[int, int]) -> Smpl
         person = Fields(values, f"track {track} of {path}", WHAM_HINT)
         count = person.count("pose")
         pose = person.rotations("pose", count, 24)
-        fits.append(
-            SmplFit(
-                path,
-                "WHAM",
-                betas=person.betas("betas", count),
-                global_orient=pose[:, :3],
-                body_pose=pose[:, 3:],
-                transl=person.get("trans", count, 3),
-                numbers=_numbers(person, "frame_ids", count),
-                tracks=(str(track),) * count,
-                focal=np.full(count, np.hypot(*size)),
-                center=np.tile(np.array(size) / 2, (count, 1)),
-            )
+        betas, transl, numbers = (
+            person.betas("betas", count),
+            person.get("trans", count, 3),
+            _numbers(person, "frame_ids", count),
         )
+        lens = float(np.hypot(*size)), np.array(size) / 2
+        fits.append(_track(path, "WHAM", str(track), betas, pose, transl, numbers, lens))
     return join_fits(fits, path)
 
 
@@ -80,28 +74,14 @@ def read_tram(folder: Path, size: tuple[int, int]) -> SmplFit:
     camera.npy has img_focal and img_center in px of the video.
     """
     camera = Fields(read_tool_file(folder / "camera.npy", TRAM_HINT), str(folder / "camera.npy"), TRAM_HINT)
-    center = camera.get("img_center", 2)
-    ratio = float(same_picture(2 * center[None], size, camera.where, TRAM_HINT)[0])
-    focal = float(_focal(camera.get("img_focal") * ratio, camera.where, TRAM_HINT))
-    fits = []
+    lens, fits = _lens(camera, size), []
     for file in sorted((folder / "hps").glob("hps_track_*.npy")):
         person = Fields(read_tool_file(file, TRAM_HINT), str(file), TRAM_HINT)
         count = person.count("pred_rotmat")
         pose = person.rotations("pred_rotmat", count, 24)
-        fits.append(
-            SmplFit(
-                str(folder),
-                "TRAM",
-                betas=person.betas("pred_shape", count),
-                global_orient=pose[:, :3],
-                body_pose=pose[:, 3:],
-                transl=person.get("pred_trans", count, 1, 3)[:, 0],
-                numbers=_numbers(person, "frame", count),
-                tracks=(file.stem.removeprefix("hps_track_"),) * count,
-                focal=np.full(count, focal),
-                center=np.tile(center * ratio, (count, 1)),
-            )
-        )
+        betas, transl = person.betas("pred_shape", count), person.get("pred_trans", count, 1, 3)[:, 0]
+        track, numbers = file.stem.removeprefix("hps_track_"), _numbers(person, "frame", count)
+        fits.append(_track(str(folder), "TRAM", track, betas, pose, transl, numbers, lens))
     return join_fits(fits, str(folder))
 
 
@@ -112,32 +92,46 @@ def read_prompthmr(content: dict[str, Any], path: str, size: tuple[int, int]) ->
     Pictures were made up to 896 px high; frames are counted from 0.
     """
     camera = Fields(content["camera"], f"camera of {path}", PROMPT_HINT)
-    center = camera.get("img_center", 2)
-    ratio = float(same_picture(2 * center[None], size, camera.where, PROMPT_HINT)[0])
-    focal = float(_focal(camera.get("img_focal") * ratio, camera.where, PROMPT_HINT))
-    fits = []
+    lens, fits = _lens(camera, size), []
     for track, values in content["people"].items():
         person = Fields(values, f"person {track} of {path}", PROMPT_HINT)
         body = Fields(person.take("smplx_cam"), f"smplx_cam of {person.where}", PROMPT_HINT)
         count = body.count("pose")
         pose = body.rotations("pose", count, 25)
-        fits.append(
-            SmplFit(
-                path,
-                "PromptHMR",
-                betas=body.betas("shape", count),
-                global_orient=pose[:, :3],
-                body_pose=np.concatenate([pose[:, 3:66], np.zeros((count, 6))], 1),
-                transl=body.get("trans", count, 3),
-                numbers=_numbers(person, "frames", count),
-                tracks=(str(track),) * count,
-                focal=np.full(count, focal),
-                center=np.tile(center * ratio, (count, 1)),
-                pelvis=SMPLX_PELVIS,
-                notes=(OTHER_SHAPE.format("SMPL-X"),),
-            )
+        pose = np.concatenate([pose[:, :66], np.zeros((count, 6))], 1)
+        betas, transl, numbers = (
+            body.betas("shape", count),
+            body.get("trans", count, 3),
+            _numbers(person, "frames", count),
         )
+        one = _track(path, "PromptHMR", str(track), betas, pose, transl, numbers, lens)
+        fits.append(replace(one, pelvis=SMPLX_PELVIS, notes=(OTHER_SHAPE.format("SMPL-X"),)))
     return join_fits(fits, path)
+
+
+def _lens(camera: Fields, size: tuple[int, int]) -> tuple[float, np.ndarray]:
+    """Focal length and center [2] px of this clip, from img_focal and img_center of a video."""
+    center = camera.get("img_center", 2)
+    ratio = float(same_picture(2 * center[None], size, camera.where, camera.hint)[0])
+    return float(_focal(camera.get("img_focal") * ratio, camera.where, camera.hint)), center * ratio
+
+
+def _track(
+    path: str,
+    tool: str,
+    name: str,
+    betas: np.ndarray,
+    pose: np.ndarray,
+    transl: np.ndarray,
+    numbers: np.ndarray,
+    lens: tuple[float, np.ndarray],
+) -> SmplFit:
+    """One person's poses [N,72] with the root, seen by one lens."""
+    focal, center = np.full(len(pose), lens[0]), np.tile(lens[1], (len(pose), 1))
+    tracks = (name,) * len(pose)
+    return SmplFit(
+        path, tool, betas, pose[:, :3], pose[:, 3:], transl, numbers=numbers, tracks=tracks, focal=focal, center=center
+    )
 
 
 def _numbers(person: Fields, key: str, count: int) -> np.ndarray:

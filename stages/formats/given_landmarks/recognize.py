@@ -9,7 +9,7 @@ from stages.formats.given_landmarks.arrays import read_arrays
 from stages.formats.given_landmarks.json_files import read_json, read_json_folder
 from stages.formats.given_landmarks.record import HINT, GivenLandmarks, in_pixels
 from stages.formats.given_landmarks.tables import read_csv, read_trc
-from stages.formats.kinds import kind_of
+from stages.formats.kinds import kind_of, names_in
 
 READERS = {".json": read_json, ".csv": read_csv, ".trc": read_trc, ".npz": read_arrays, ".npy": read_arrays}
 
@@ -25,8 +25,7 @@ def read_landmark_file(path: Path, size: tuple[int, int]) -> GivenLandmarks:
         inner = sorted(one for one in path.iterdir() if one.suffix.lower() in READERS or one.is_dir())
         if len(inner) == 1:
             return read_landmark_file(inner[0], size)
-        found = ", ".join(sorted(one.name for one in path.iterdir())[:8]) or "nothing"
-        raise StageError(f"{path} holds no landmarks", HINT, [f"found {found}"])
+        raise StageError(f"{path} holds no landmarks", HINT, [f"found {names_in(path)}"])
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         kind = kind_of(path)

@@ -13,6 +13,7 @@ from stages.contract import StageError
 from stages.formats.arrays import read_npy
 from stages.formats.frame_names import ENDINGS
 from stages.formats.images import read_pixels
+from stages.formats.kinds import names_in
 from stages.formats.pictures import natural_order
 
 K = TypeVar("K")
@@ -32,8 +33,8 @@ def mask_files(folder: Path) -> list[Path]:
         raise StageError(f"no folder of masks at {folder}", "give the folder that holds one mask per frame")
     found = [p for p in folder.iterdir() if p.suffix.lower() in ENDINGS and not p.name.startswith(".")]
     if not found:
-        inside = ", ".join(sorted(path.name for path in folder.iterdir())[:8]) or "nothing"
-        raise StageError(f"no masks in {folder}", f"masks are {', '.join(ENDINGS)} files, one per frame", [inside])
+        hint = f"masks are {', '.join(ENDINGS)} files, one per frame"
+        raise StageError(f"no masks in {folder}", hint, [names_in(folder)])
     return sorted(found, key=natural_order)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
-from stages.formats.images import shrink
+from stages.formats.images import evenly, shrink
 from stages.formats.viewer.libraries import licences, packed
 from stages.formats.viewer.packing import Packer, slopes_in_words
 from stages.formats.viewer.staging import background, covered, seen, underfoot
@@ -185,9 +185,7 @@ def _pictures(shown: Exhibit) -> list[tuple[int, str]]:
     """Frames spread over the clip, (frame, data: URL) each: at most PICTURES and about BYTES."""
     if shown.images is None:
         return []
-    count = min(PICTURES, len(shown.cameras))
-    chosen = np.unique(np.linspace(0, len(shown.cameras) - 1, count).round().astype(int)).tolist()
-    jpegs = [(i, _jpeg(shrink(shown.images(i), SIDE))) for i in chosen]
+    jpegs = [(i, _jpeg(shrink(shown.images(i), SIDE))) for i in evenly(len(shown.cameras), PICTURES)]
     while len(jpegs) > 1 and sum(len(data) for _, data in jpegs) > BYTES:
         jpegs = jpegs[::2]
     return [(i, f"data:image/jpeg;base64,{base64.b64encode(data).decode()}") for i, data in jpegs]

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from stages.formats.images import evenly
 from stages.records import SH_C0, Cameras, Rig, Scene
 
 REACH = 1.5  # standard deviations: a Gaussian is its middle and both ends of its longest axis
@@ -20,7 +21,7 @@ LUMA = np.array([0.2126, 0.7152, 0.0722])
 
 def seen(scene: Scene, cameras: Cameras) -> np.ndarray:
     """How far each Gaussian [N] of `scene` lies within pictures of the cameras, 0 to 1; both in one world."""
-    chosen = np.unique(np.linspace(0, len(cameras) - 1, SAMPLED).round().astype(int))
+    chosen = evenly(len(cameras), SAMPLED)
     projections = (cameras.Ks[chosen] @ cameras.viewmats[chosen, :3]).astype(np.float32)
     corner, enough = np.array([[cameras.width], [cameras.height]], np.float32), math.ceil(ENOUGH * len(chosen))
     least = np.ones(len(scene), np.float32)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from stages.avatar.cameras.pinhole import onto
 from stages.avatar.model.human import HumanModel
 from stages.avatar.model.person import pose, rest
 from stages.avatar.splats.neighbours import nearest
@@ -31,9 +32,7 @@ def seen_colors(human: HumanModel, person: FittedBody, views: Views, frames: lis
         local = splats.means @ viewmat[:3, :3].T + viewmat[:3, 3]
         normal = torch.nn.functional.normalize(splats.axes[:, :, 2] @ viewmat[:3, :3].T, dim=1)
         cosine = -(normal * torch.nn.functional.normalize(local, dim=1)).sum(1)
-        depth = local[:, 2].clamp_min(NEAR)
-        column = (local[:, 0] / depth * K[0, 0] + K[0, 2]).floor().long()
-        row = (local[:, 1] / depth * K[1, 1] + K[1, 2]).floor().long()
+        column, row = onto(local, K, NEAR).floor().long().T
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         column, row = column.clamp(0, width - 1), row.clamp(0, height - 1)
         seen = inside & (local[:, 2] > NEAR) & (cosine > FACING) & (views.masks[f][row, column] > 250)

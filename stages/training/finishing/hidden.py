@@ -15,7 +15,7 @@ from torch import Tensor
 from stages.avatar.cameras.pinhole import project, unproject
 from stages.avatar.drawing.cast import Cast, Moment
 from stages.avatar.model.scene import SceneModel
-from stages.avatar.rasterize import Camera, Rendering
+from stages.avatar.rasterize import Rendering
 from stages.avatar.rasterize.rendering import BLUR, PIXEL
 from stages.avatar.splats.compose import painted_pixels
 from stages.avatar.splats.gaussians import Splats
@@ -160,8 +160,7 @@ def _surface(splats: Splats, views: Views, key: int, found: Behind) -> list[Tens
 
 def _drawn(sets: Sequence[Splats], views: Views, frame: int) -> Rendering:
     """Drawn at one instant."""
-    height, width = views.masks.shape[1:]
-    (drawn,) = Moment(sets).draw(Camera(views.viewmats[frame], views.Ks[frame], width, height))
+    (drawn,) = Moment(sets).draw(views.camera(frame))
     assert isinstance(drawn, Rendering), "nothing moves"
     return drawn
 

@@ -13,7 +13,7 @@ from stages.avatar.drawing.cast import Cast
 from stages.avatar.effects.motion_blur import BlurredRendering
 from stages.avatar.model.human import COLOR
 from stages.avatar.model.person import Canonical, Resting, rest
-from stages.avatar.rasterize import Camera, Layer, Rendering
+from stages.avatar.rasterize import Layer, Rendering
 from stages.avatar.splats.neighbours import nearest
 from stages.training.finishing.bake import Known
 from stages.training.step import losses
@@ -96,7 +96,7 @@ def settle(
         held = change.held(known.own, known.told)
         moment = cast.at(i, [replace(who, resting=held.at_rest(resting, scales))])
         image, mask, everybody = views.images[i].float() / 255, *(m[i].float() / 255 for m in (seen.masks, views.masks))
-        camera = Camera(views.viewmats[i], views.Ks[i], mask.shape[1], mask.shape[0])
+        camera = views.camera(i)
         left, top, right, bottom = box = person_box(mask, moment.people[0].means.detach(), camera.viewmat, camera.K)
         crop = slice(top, bottom), slice(left, right)
         background = torch.rand(3, generator=generator).to(image)

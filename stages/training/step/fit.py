@@ -106,14 +106,20 @@ class Fit:
             for one in optimizer.param_groups:
                 one["lr"] = one["base"] * rate(one["name"], self.progress.done)
         views = self.small if self.progress.done < self.half_until else self.full
-        numbers = self._learn(self.frame, views)
+        learn, numbers = self.networks_learn, self._learn(self.frame, views)
         self.progress.step += 1
         step, group = self.progress.step, self.params.views_per_decode
-        if self.people and (step % group == 0 or step == self.progress.total):
+        last = step == self.progress.total or not self.networks_learn
+        if self.people and learn and (last or step % group == 0):
             for learner in self.people:
                 learner.learn(self.adam[learner.name], step % group or group)
             self.clock.lap("person's networks")
         return numbers
+
+    @property
+    def networks_learn(self) -> bool:
+        """Whether the networks learn; what each Gaussian has in place of networks always does."""
+        return not self.params.triplane or self.progress.done < self.params.networks_until
 
     def _next_frame(self) -> int:
         if len(self.order) == 0:
@@ -146,7 +152,7 @@ class Fit:
         resting = []
         for learner in there:
             self.clock.start()
-            resting.append(learner.resting())
+            resting.append(learner.resting(self.networks_learn))
             self.clock.lap("person's networks")
         if self.scene is not None and (phase.scene or there):
             scene = self.scene.splats() if phase.scene else self.scene.splats().detach()

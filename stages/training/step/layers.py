@@ -9,6 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from stages.avatar.cameras.pinhole import onto
 from stages.avatar.effects.motion_blur import BlurredRendering
 from stages.avatar.rasterize import Layer, Rendering
 from stages.avatar.splats.gaussians import Splats
@@ -83,8 +84,9 @@ def foreground_occluders(scene: Splats, person: Tensor, viewmat: Tensor, K: Tens
 
     def seen(points: Tensor) -> tuple[Tensor, Tensor]:
         local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
-        on = local[:, :2] / local[:, 2:].clamp_min(NEAR) * K.diagonal()[:2] + K[:2, 2]
-        column, row = (on / size).floor().nan_to_num(-1.0).unbind(1)  # what is not finite is in no cell
+        column, row = (
+            (onto(local, K, NEAR) / size).floor().nan_to_num(-1.0).unbind(1)
+        )  # what is not finite is in no cell
         inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows) & (local[:, 2] > NEAR)
         return local[:, 2], torch.where(inside, row * columns + column, rows * columns).long()
 

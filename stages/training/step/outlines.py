@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from stages.training.step.losses import SEAM, dilated
-from stages.training.views import FittedBody, Views, shrunk
+from stages.training.views import FittedBody, Views, halved
 
 CLOSE = 0.3  # m of depth between two hips: closer ones the fits cannot order
 NEXT = 0.01  # of the longer side: somebody so near in the picture may hide part of a person
@@ -27,8 +27,7 @@ class Outline(NamedTuple):
 
     def half(self) -> Outline:
         """The same at half the resolution, by area."""
-        height, width = (max(1, n // 2) for n in self.masks.shape[1:])
-        return Outline(*(torch.stack([shrunk(one[None], (height, width))[0] for one in part]) for part in self))
+        return Outline(*(halved(part[..., None])[..., 0] for part in self))
 
     def clear(self, frames: list[int]) -> list[int]:
         """Those of `frames` in which nothing hides them, or all where these are fewer than CLEAR."""

@@ -16,7 +16,7 @@ from torch.optim import Optimizer
 
 from stages.avatar.body.skinning import knn_weights
 from stages.avatar.effects.shadow import Casters
-from stages.avatar.kernels.products import products
+from stages.avatar.kernels.products import products, turned
 from stages.avatar.model.decoders import OWN
 from stages.avatar.model.human import HumanModel
 from stages.avatar.model.person import Canonical, Resting, bone_transforms, pose, rest, taken_back
@@ -102,9 +102,12 @@ class PersonLearner:
         """The `views` of whole size with the masks of this person alone."""
         return views if self.outline is None else views._replace(masks=self.outline.masks)
 
-    def resting(self) -> Resting:
-        """The person at rest for one frame: of leaves that collect gradients until the next `learn`, and what is theirs now."""
-        leaves = self._decoded()
+    def resting(self, learn: bool = True) -> Resting:
+        """The person at rest for one frame: of leaves that collect gradients until the next `learn`, and what is theirs now.
+
+        Without `learn` the leaves collect none.
+        """
+        leaves = self._decoded() if learn else {name: leaf.detach() for name, leaf in self._decoded().items()}
         rotations, scales, opacities, sh, changed = self.human.look(*(leaves[name] for name in OWN))
         self.pull, axes = losses.REGULAR * changed, products(leaves["rotations"], rotations * scales[:, None, :])
         own = leaves["weights"], leaves["rotations"], self.normals
@@ -116,7 +119,7 @@ class PersonLearner:
             rough = losses.roughness(shared.means, self._neighbours(), self.human.normals)
             self.prior = losses.OUTSIDE * outside_box + losses.REGULAR * moved + losses.SMOOTH * rough
             means, rotations = taken_back(shared.means, shared.weights, self.canonical_bones)
-            self.normals = (rotations.detach() @ self.human.normals[..., None])[..., 0]
+            self.normals = turned(rotations.detach(), self.human.normals)
             self.shared, self.decoded = shared, shared._asdict() | {"means": means, "rotations": rotations}
             # those of OWN also without networks, for `color_grad_sum`
             taught = {name: t.requires_grad or name in OWN for name, t in self.decoded.items()}

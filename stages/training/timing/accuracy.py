@@ -9,7 +9,6 @@ import torch
 from stages.avatar.drawing.cast import Cast
 from stages.avatar.measures.lpips import Lpips
 from stages.avatar.measures.metrics import person_crop, scores
-from stages.avatar.rasterize import Camera
 from stages.training.views import Views
 
 
@@ -26,7 +25,7 @@ def heldout_accuracy(
         image, mask, moment = views.images[i].float() / 255, views.masks[i].float() / 255, cast.at(i)
         if not moment.sets:
             continue  # of several people: nothing to draw
-        drawn = moment.draw(Camera(views.viewmats[i], views.Ks[i], mask.shape[1], mask.shape[0]))[0].image
+        drawn = moment.draw(views.camera(i))[0].image
         drawn, crop = (drawn if views.gains is None else drawn * views.gains[i]).clamp(0, 1), person_crop(mask)
         if cast.scene is None:
             image = image * mask[..., None]

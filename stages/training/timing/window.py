@@ -10,7 +10,6 @@ import numpy as np
 import torch
 
 from stages.avatar.drawing.pixels import to_uint8
-from stages.avatar.rasterize import Camera
 from stages.training.step.fit import Fit
 
 EVERY = 5.0  # s, at least, between pictures
@@ -37,8 +36,7 @@ class Window:
             return
         i, views, cast = frames[self.shown % len(frames)], fit.seen(), fit.cast()
         self.shown += 1
-        image, moment = views.images[i], cast.at(i)
-        camera = Camera(views.viewmats[i], views.Ks[i], image.shape[1], image.shape[0])
+        image, moment, camera = views.images[i], cast.at(i), views.camera(i)
         alone = moment._replace(scene=None)
         gain = 1.0 if views.gains is None else views.gains[i].cpu().numpy()
         drawn = [to_uint8((moment.picture(camera)[0] * gain).clip(0, 1))] if moment.sets else []

@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import re
+import shutil
 import time
 
 import numpy as np
@@ -18,7 +19,7 @@ from stages.estimators import assets
 from stages.formats.facts import Dataset, Metrics
 from stages.formats.images import write_image
 from tests.made import tiny as tiny_clip
-from tests.made.browser import probe
+from tests.made.browser import FOUND, LOADED, probe
 from tests.made.devtools import Page
 from tests.made.meshes import coarse
 from tests.made.said import holds
@@ -77,6 +78,11 @@ def page(finished):
     return folder / report.PAGE
 
 
+def beside(text):
+    """What a page links to that is not in it."""
+    return re.findall(r'(?:src|href|action)="((?!data:|#)[^"]*)', text)
+
+
 def test_everything_is_told(page):
     text = page.read_text(encoding="utf-8")
     assert "<h1>dance &lt;1&gt;.mp4</h1>" in text and "sfm: the camera &lt;b&gt;barely&lt;/b&gt; moved" in text
@@ -87,10 +93,25 @@ def test_everything_is_told(page):
     assert [name for name in ALL if f"<td>{name}</td>" not in text] == []
     assert text.count(">whole picture</text>") == text.count(">box of the person</text>") == 1, "two lines of the curve"
     assert "Training, step by step" in text and "<td>drawing</td><td class=n>9.0 s</td><td class=n>75 %</td>" in text
-    beside = re.findall(r'(?:src|href|action)="((?!data:|#)[^"]*)', text)
-    assert {"export/viewer.html", "export/avatar.glb"} <= set(beside)
-    assert [one for one in beside if not (page.parent / one).is_file()] == [], "it names no file that is not there"
+    assert {"export/viewer.html", "export/avatar.glb"} <= set(beside(text))
+    assert [one for one in beside(text) if not (page.parent / one).is_file()] == [], (
+        "it names no file that is not there"
+    )
     assert not re.search(r"url\((?!#)|@import|https?://|<script", text), "nothing is fetched, nothing runs"
+
+
+def test_a_page_that_is_copied_elsewhere_with_its_folders_names_the_files_there(page, tmp_path):
+    """In a pipeline's folder these are links; copied, the page names nothing of where it was."""
+    pipeline = tmp_path / "pipeline"
+    pipeline.mkdir()
+    shutil.copy(page, pipeline)
+    for name in ("export", "render", "evaluate"):
+        (pipeline / name).symlink_to(page.parent / name)
+    moved = shutil.copytree(pipeline, tmp_path / "elsewhere")
+    text = (moved / report.PAGE).read_text(encoding="utf-8")
+    assert str(page.parent) not in text and not (moved / "export").is_symlink()
+    assert "export/viewer.html" in beside(text)
+    assert [one for one in beside(text) if one.startswith("/") or not (moved / one).is_file()] == []
 
 
 @pytest.mark.slow
@@ -99,6 +120,32 @@ def test_the_browser_shows_everything_and_complains_of_nothing(page, tmp_path):
     assert logged == []
     assert found["images"] == 9 and found["bad"] == [] and found["films"] == 4 and found["still"] == []
     assert not found["wide"], "the page is wider than a phone's screen"
+
+
+@pytest.mark.slow
+def test_a_page_that_was_moved_and_sent_works(page, tmp_path):
+    """By itself; and with what lies beside it, zipped and unpacked elsewhere, when nothing is left where it was made."""
+    alone, sent = tmp_path / "a mail" / "page.html", tmp_path / "J\xf6rg's #1 (50 %)"
+    aside = page.parent.with_name("aside")
+    alone.parent.mkdir()
+    alone.write_bytes(page.read_bytes())
+    shutil.unpack_archive(shutil.make_archive(str(tmp_path / "sent"), "zip", page.parent), sent)
+    page.parent.rename(aside)
+    try:
+        for place, opened in ((alone, False), (sent / page.name, True)):
+            with contextlib.closing(Page(tmp_path / f"profile-{opened}", (500, 900))) as tab:
+                tab.open(place, LOADED)
+                found = tab.run(FOUND)
+                assert found["bad"] == found["still"] == [] and found["images"] == 9 and found["films"] == 4
+                if opened:
+                    tab.run("document.querySelector('a[href$=\"viewer.html\"]').click()")
+                    wait(tab, "document.body?.matches('.open, .stuck')")
+                    assert tab.run("document.body.matches('.open')"), tab.run("document.body.innerText")
+                assert tab.said == []
+                asked = {one.partition("#")[0] for one in tab.requests if not one.startswith(("data:", "blob:"))}
+                assert asked == {place.as_uri()} | ({(sent / "export/viewer.html").as_uri()} if opened else set())
+    finally:
+        aside.rename(page.parent)
 
 
 @pytest.mark.slow
@@ -158,7 +205,7 @@ def test_a_part_that_cannot_be_made_is_named_and_fails_at_the_end(finished, tmp_
 
 @pytest.mark.slow
 def test_the_browser_reads_a_growing_page_again_and_keeps_its_place(finished, tmp_path, monkeypatch):
-    """Moved elsewhere as a whole file, it ends as the page of the end, and reads that no more."""
+    """It ends as the page of the end, and reads that no more."""
     monkeypatch.setattr(report, "RELOAD", 1)
     _, rows = finished
     show(tmp_path, [*rows[:4], {"name": "train", "state": "waits"}])

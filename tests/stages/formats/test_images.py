@@ -10,7 +10,7 @@ import pytest
 from PIL import Image, ImageCms
 
 from stages.contract import StageError, peak_memory
-from stages.formats.images import read_image, read_mask, read_pixels, write_image, write_mask
+from stages.formats.images import evenly, read_image, read_mask, read_pixels, write_image, write_mask
 from tests.made import icc
 from tests.made.said import holds
 from tests.tools.mutations import with_checksums
@@ -160,3 +160,7 @@ def test_a_profile_that_cannot_be_read_is_refused_and_pixels_as_stored_are_not_c
     with pytest.raises(StageError, match="colour profile"):
         read_image(tmp_path / "a.png")
     assert np.array_equal(read_pixels(tmp_path / "a.png"), picture())
+
+
+def test_rows_are_spread_from_the_first_to_the_last():
+    assert evenly(0, 3) == [] and evenly(3, 5) == [0, 1, 2] and evenly(100, 4) == [0, 33, 66, 99]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from stages.formats.kinds import HEAD, kind_of
+from stages.formats.kinds import HEAD, LISTED, kind_of, names_in
 
 BEGINS = {
     b"\xff\xd8\xff\xe0": "a picture (JPEG)",
@@ -29,3 +29,10 @@ BEGINS = {
 def test_files_are_known_by_how_they_begin(tmp_path, begins):
     (tmp_path / "file").write_bytes(begins)
     assert str(kind_of(tmp_path / "file")) == BEGINS[begins]
+
+
+def test_what_a_folder_holds_is_named_in_order_and_not_all_of_much(tmp_path):
+    assert names_in(tmp_path) == "nothing"
+    for number in range(LISTED + 3):
+        (tmp_path / f"{number:02d}.png").touch()
+    assert names_in(tmp_path).split(", ") == [f"{number:02d}.png" for number in range(LISTED)]

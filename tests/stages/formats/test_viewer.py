@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
 import re
 from dataclasses import replace
@@ -111,6 +112,16 @@ def test_it_opens_and_asks_the_network_for_nothing(page):
     assert [one[:40] for one in page.requests if not one.startswith(("file:", "data:", "blob:"))] == []
     assert sum(one.startswith("file:") for one in page.requests) == 1
     assert page.said == []
+
+
+@pytest.mark.slow
+def test_no_control_sticks_out_of_the_bar(folders, tmp_path):
+    with contextlib.closing(Page(tmp_path / "profile")) as page:
+        page.open(folders["export"] / "viewer.html", "document.body?.matches('.open, .stuck')")
+        for width in (1200, 700, 360):
+            page.ask("Emulation.setDeviceMetricsOverride", width=width, height=800, deviceScaleFactor=1, mobile=False)
+            lines = page.run("[...document.querySelectorAll('.line')].map((one) => [one.scrollWidth, one.clientWidth])")
+            assert len(lines) == 2 and all(needed <= given for needed, given in lines), width
 
 
 @pytest.mark.slow
@@ -344,7 +355,9 @@ def test_what_is_invented_is_darkened_when_asked(page, folders):
 
 @pytest.mark.slow
 def test_a_ruler_measures_between_two_clicks_and_names_the_option_that_corrects_it(page):
+    mark = "hugs.player.stage.world.children.some((one) => one.draw && one.visible)"
     page.run("void (hugs.player.set({ playing: false, show: 'both' }), hugs.facts.clip, hugs.player.home(3))")
+    assert not page.run(mark), "nothing has been measured"
     page.run("document.getElementById('ruler').click()")
     wait(page, "!hugs.player.stage.busy")
     left, top, width, height = page.run(
@@ -355,6 +368,7 @@ def test_a_ruler_measures_between_two_clicks_and_names_the_option_that_corrects_
         for kind in ("mousePressed", "mouseReleased"):
             page.ask("Input.dispatchMouseEvent", type=kind, button="left", buttons=1, clickCount=1, x=x, y=y)
     wait(page, "document.querySelector('#distance b').textContent.endsWith(' m')")
+    assert page.run(mark)
     shown, option = page.run("[...document.getElementById('distance').children].map((part) => part.textContent)")
     eye, matrix = page.run(
         "(({ stage }) => [stage.eye.toArray(), stage.world.matrix.clone().invert().multiply(stage.camera.matrixWorld)"

@@ -86,7 +86,7 @@ def test_c09_a_bad_row_does_not_reach_shared_weights(clip, part):
     bad, clean = fit_of(clip), fit_of(clip)
     resting, seven = bad.people[0].resting, torch.tensor([7])
     nan = lambda g: g.index_fill(0, seven, float("nan"))  # noqa: E731
-    bad.people[0].resting = lambda: (r := resting(), getattr(r, part).register_hook(nan))[0]
+    bad.people[0].resting = lambda learn: (r := resting(learn), getattr(r, part).register_hook(nan))[0]
     taught = [leaf for leaf in clean.people[0]._decoded().values() if leaf.requires_grad]
     if part not in ("means", "weights"):
         taught += clean.people[0].human.residuals().values()

@@ -85,6 +85,7 @@ export function offerRuler(player, gaussians, timesFit, button, output) {
 /** A line with its ends, in front of all else. */
 function line() {
   const material = { color: 0xffb020, depthTest: false, transparent: true }, shape = new BufferGeometry(), group = new Group();
+  group.visible = false;
   shape.setAttribute("position", new BufferAttribute(new Float32Array(6), 3));
   for (const one of [new Line(shape, new LineBasicMaterial(material)), new Points(shape, new PointsMaterial({ ...material, size: 9, sizeAttenuation: false }))]) {
     group.add(Object.assign(one, { renderOrder: 10, frustumCulled: false }));

@@ -14,6 +14,13 @@ K = np.array([[500.0, 0, 320], [0, 480.0, 200], [0, 0, 1]])
 WORLD = cameras.look_at(np.array([1.0, 2, 3]), np.array([0.0, 0, 0]), np.array([0.0, 1, 0]))
 
 
+def test_points_in_a_cameras_axes_lie_where_project_sees_them_and_near_ones_as_at_the_nearest_depth():
+    points = np.array([[0.3, -0.2, 2.0], [0.3, -0.2, 0.01]])
+    np.testing.assert_allclose(cameras.onto(points, K)[0], cameras.project(points, np.eye(4), K)[0][0])
+    np.testing.assert_allclose(cameras.onto(points, K, 0.5)[1], [620, 8])
+    assert torch.equal(cameras.onto(torch.tensor(points), torch.tensor(K)), torch.tensor(cameras.onto(points, K)))
+
+
 def test_look_at_puts_the_target_in_the_middle_and_up_upwards():
     pixels, z = cameras.project(np.array([[0.0, 0, 0], [0, 0.1, 0]]), WORLD, K)
     assert np.allclose(pixels[0], [320, 200]) and z[0] == pytest.approx(14**0.5)

@@ -8,11 +8,12 @@ from stages.avatar.body.face import face_vector
 from stages.avatar.body.fingers import finger_bones, finger_joints
 from stages.avatar.body.smpl import Body
 from stages.avatar.drawing.attach import attach
-from stages.avatar.drawing.avatar import PosedAvatar, bones_of, gloved, load_avatar, pose_avatar, posed_by
+from stages.avatar.drawing.avatar import PosedAvatar, bones_of, gloved, load_avatar, posed_by
 from stages.formats.body_model import read_body_model
 from stages.formats.hands_face import read_hands_face
 from stages.formats.splats import read_avatar, write_splats
 from stages.gestures import FINGER_NAMES
+from tests.made.learned import pose_avatar
 from tests.made.tiny import make_avatar
 
 INDEX = [FINGER_NAMES.index(f"left_index{part}") for part in (1, 2, 3)]

@@ -5,10 +5,11 @@ import pytest
 import torch
 
 from stages.avatar.body.skinning import of_few_bones
-from stages.avatar.drawing.avatar import PosedAvatar, bones_of, load_avatar, pose_avatar
+from stages.avatar.drawing.avatar import PosedAvatar, bones_of, load_avatar
 from stages.avatar.model.person import bone_transforms
 from stages.formats.body_model import read_body_model
 from tests.made.clothes import dress, some_clothes
+from tests.made.learned import pose_avatar
 from tests.made.tiny import make_avatar
 
 

@@ -152,10 +152,10 @@ def test_people_move_each_at_their_own_speed_and_who_is_not_known_stands(stage):
 
 
 def test_a_frame_is_drawn_in_one_place():
-    """Outside `rasterize/` one function calls it, and `Moment.draw` alone is what others call."""
+    """Outside `rasterize/` one function calls it, and `Moment.draw` alone is what others call; in stages and `hugs/` alike."""
     calls: dict[str, set[str]] = {}
-    root = Path(cast_module.__file__).parents[2]
-    for path in sorted(root.rglob("*.py")):
+    root = Path(cast_module.__file__).parents[3]
+    for path in sorted([*(root / "stages").rglob("*.py"), *(root / "hugs").rglob("*.py")]):
         if "rasterize" in path.parts:
             continue
         for node in ast.walk(ast.parse(path.read_text())):
@@ -165,7 +165,7 @@ def test_a_frame_is_drawn_in_one_place():
                 if name in ("rasterize", "draw_together") or (name == "draw" and owner.endswith("effects")):
                     calls.setdefault(name, set()).add(str(path.relative_to(root)))
     assert calls == {
-        "rasterize": {"avatar/splats/compose.py"},
-        "draw_together": {"avatar/effects/frames.py"},
-        "draw": {"avatar/drawing/cast.py"},
+        "rasterize": {"stages/avatar/splats/compose.py"},
+        "draw_together": {"stages/avatar/effects/frames.py"},
+        "draw": {"stages/avatar/drawing/cast.py"},
     }

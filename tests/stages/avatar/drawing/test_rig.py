@@ -9,12 +9,13 @@ import torch
 from stages.avatar.body.rotations import matrix_from_quat
 from stages.avatar.body.smpl import DA_POSE
 from stages.avatar.body.stretch import STEEPEST
-from stages.avatar.drawing.avatar import bones_of, load_avatar, pose_avatar, posed_by
+from stages.avatar.drawing.avatar import bones_of, load_avatar, posed_by
 from stages.avatar.drawing.rig import rig_of
 from stages.avatar.model.person import bone_transforms
 from stages.avatar.splats.sh import sh_basis
 from stages.formats.body_model import read_body_model
 from tests.made.clothes import dress, some_clothes
+from tests.made.learned import pose_avatar
 from tests.made.tiny import make_avatar
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
 
+from stages.avatar import compiled
 from stages.avatar.kernels import cache
 
 ROOT = os.geteuid() == 0
@@ -91,7 +92,7 @@ def test_a_folder_that_another_could_have_filled_is_left_alone(roots, how, deep)
 
 def test_no_kernel_has_an_array_as_a_default_which_numba_takes_for_another_one_in_every_process():
     """It compiled `cast` again whenever a synthetic clip was made: 9 s."""
-    files = [file.relative_to(cache.HOUSE.parents[1]).with_suffix("") for file in cache.sources()]
+    files = [file.relative_to(compiled.HOUSE.parents[1]).with_suffix("") for file in compiled.sources()]
     modules = [importlib.import_module(".".join(file.parts)) for file in files if file.name != "__init__"]
     kernels = {value for module in modules for value in vars(module).values() if isinstance(value, Dispatcher)}
     assert len(kernels) > 20

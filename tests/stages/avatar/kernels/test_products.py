@@ -1,28 +1,38 @@
-"""Products of many matrices: those of torch to the bit, with their gradients."""
+"""Products of many matrices, and of matrices and vectors: those of torch to the bit, with their gradients."""
+
+from collections.abc import Callable
 
 import pytest
 import torch
 from torch import Tensor
 
-from stages.avatar.kernels.products import products
+from stages.avatar.kernels.products import products, turned
+
+Product = Callable[[Tensor, Tensor], Tensor]
 
 
-def learned(a: Tensor, b: Tensor, upstream: Tensor, ours: bool) -> tuple[Tensor, ...]:
-    """The products of the left parts of a[N,3,4] with b[N,3,3], and the gradients of both."""
+def learned(product: Product, a: Tensor, b: Tensor, upstream: Tensor) -> tuple[Tensor, ...]:
+    """The products of the left parts of a[N,3,4] with b, and the gradients of both."""
     a, b = a.clone().requires_grad_(), b.clone().requires_grad_()
-    found = products(a[..., :3], b) if ours else a[..., :3] @ b
+    found = product(a[..., :3], b)
     found.backward(upstream)
     return found.detach(), a.grad, b.grad
 
 
 @pytest.mark.parametrize("count", [0, 1, 1000])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_products_and_gradients_are_those_of_torch_to_the_bit(count: int, dtype: torch.dtype) -> None:
+@pytest.mark.parametrize(
+    ("ours", "theirs", "shape"),
+    [(products, torch.matmul, (3, 3)), (turned, lambda a, points: (a @ points[..., None])[..., 0], (3,))],
+)
+def test_products_and_gradients_are_those_of_torch_to_the_bit(
+    ours: Product, theirs: Product, shape: tuple[int, ...], count: int, dtype: torch.dtype
+) -> None:
     g = torch.Generator().manual_seed(0)
-    a, b, upstream = (torch.randn(count, 3, width, generator=g, dtype=dtype) for width in (4, 3, 3))
-    for ours, theirs in zip(learned(a, b, upstream, True), learned(a, b, upstream, False), strict=True):
-        assert ours.dtype == dtype
-        assert torch.equal(ours, theirs)
+    a, b, upstream = (torch.randn(count, *more, generator=g, dtype=dtype) for more in ((3, 4), shape, shape))
+    for mine, true in zip(learned(ours, a, b, upstream), learned(theirs, a, b, upstream), strict=True):
+        assert mine.dtype == dtype
+        assert torch.equal(mine, true)
 
 
 def test_what_needs_no_gradient_gets_none() -> None:

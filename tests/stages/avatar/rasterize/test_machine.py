@@ -1,6 +1,5 @@
 """The kernels whatever the machine: threads, processors, a cache folder that cannot be written, dtypes."""
 
-import importlib.util
 import os
 import shutil
 import subprocess
@@ -12,7 +11,7 @@ import pytest
 import torch
 
 from stages.avatar.kernels import cache
-from stages.avatar.rasterize import Camera, Gaussians, blend, cpu, gaussian_axes, rasterize
+from stages.avatar.rasterize import Camera, Gaussians, cpu, gaussian_axes, rasterize
 from tests.made.rasterized import HEIGHT, PICTURE, WIDTH, apart, camera, cast, draw, gaussians, show
 
 
@@ -69,18 +68,6 @@ def test_an_older_processor_without_a_cache_folder_draws_the_same(tmp_path):
     here = show(cpu, gaussians(), *camera(), WIDTH, HEIGHT)
     image, alpha = torch.load(tmp_path / "out.pt")
     assert here.alpha.max() > 0.5 and torch.equal(here.image, image) and torch.equal(here.alpha, alpha)
-
-
-def test_kernels_of_an_earlier_process_are_noticed_but_not_those_of_another_installation(tmp_path):
-    draw(cpu, gaussians(20), *camera())
-    assert cache.compiled(blend.draw_backward)
-    copied = tmp_path / "elsewhere" / "blend.py"
-    copied.parent.mkdir()
-    copied.write_text(Path(blend.__file__).read_text())
-    spec = importlib.util.spec_from_file_location("elsewhere", copied)
-    other = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(other)
-    assert not cache.compiled(other.draw_backward)
 
 
 def test_kernels_of_older_sources_are_removed_when_nobody_has_used_them_for_a_month(tmp_path, monkeypatch):

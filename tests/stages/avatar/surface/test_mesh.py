@@ -11,13 +11,15 @@ from scipy.spatial.transform import Rotation
 
 from stages.avatar.body.skinning import all_bones, skin
 from stages.avatar.drawing.attach import attach
-from stages.avatar.drawing.avatar import bones_of, load_avatar, pose_avatar
+from stages.avatar.drawing.avatar import bones_of, load_avatar
 from stages.avatar.surface import mesh as surface
 from stages.avatar.surface.mesh import NoSurfaceError, surface_of
 from stages.formats.body_model import read_body_model
 from stages.formats.hands_face import read_hands_face
+from stages.formats.splats import read_avatar
 from stages.gestures import FACE_NAMES
 from tests.made.clothes import dress, some_clothes
+from tests.made.learned import pose_avatar
 from tests.made.meshes import balls, coarse, edges, solid_avatar
 from tests.made.said import holds
 
@@ -76,6 +78,17 @@ def test_its_colours_are_those_of_the_gaussians(mesh):
     front = (mesh.normals[:, 2] > 0.8) & np.isin(mesh.bones[:, 0], [0, 3, 6, 9])
     np.testing.assert_allclose(found[head].mean(0), [0.9, 0.9, 0.1], atol=0.08)
     np.testing.assert_allclose(found[front].mean(0), [0.9, 0.1, 0.1], atol=0.15)
+
+
+@pytest.mark.slow
+def test_an_avatar_of_0_1_0_makes_the_same_mesh(avatar, mesh, tmp_path):
+    """Its file had these arrays, float32, and no normals, casters, fingers or face."""
+    names = "means quats scales opacities sh0 shN lbs_weights joints parents betas canonical_pose".split()
+    whole = {name: np.float32(getattr(avatar, name)) for name in names}
+    np.savez(tmp_path / "avatar.npz", **whole | {"parents": np.int32(avatar.parents)})
+    old = surface_of(read_avatar(tmp_path / "avatar.npz"), 3000, 128)
+    assert old.morphs is None and apart(load_avatar(avatar).resting.means.numpy(), old.vertices, old.faces) < 0.03
+    assert abs(len(old.faces) - len(mesh.faces)) < 30 and abs(old.texture.mean() - mesh.texture.mean()) < 2
 
 
 def test_bones_of_clothes_move_what_they_move_of_the_gaussians(avatar):

@@ -10,7 +10,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.drawing.attach import attach
-from stages.avatar.drawing.avatar import PosedAvatar, bones_of, load_avatar, pose_avatar
+from stages.avatar.drawing.avatar import PosedAvatar, bones_of, load_avatar
 from stages.avatar.drawing.rig import rig_of
 from stages.avatar.drawing.takes import _poses, hung
 from stages.avatar.motion.takes import made_takes
@@ -23,6 +23,7 @@ from stages.formats.exchange.splats_glb import SPLATS, _linear, read_avatar_glb,
 from stages.formats.hands_face import read_hands_face
 from tests.made.clothes import dress, some_clothes
 from tests.made.gltf import array, skinned, world_of
+from tests.made.learned import pose_avatar
 from tests.made.meshes import body_mesh
 from tests.made.said import holds
 from tests.made.tiny import make_avatar

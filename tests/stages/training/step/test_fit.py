@@ -35,16 +35,32 @@ def test_it_learns_and_both_sets_grow_to_their_caps(clip):
 def test_h11_resumed_equals_uninterrupted_bit_for_bit(clip):
     straight, first = fit_of(clip), fit_of(clip)
     run(straight, 40)
-    for broken_at in (14, 17):
+    for broken_at in (14, 17, 33):  # 33: networks rest
         run(first, broken_at)
-        assert (first.people[0].leaves is None) == (broken_at == 14), "17: between two decodes, with gradients waiting"
+        waiting = first.people[0].leaves is not None
+        assert waiting == (broken_at != 14), "17: between two decodes, with gradients waiting"
         second = fit_of(clip)
         second.load(stored(first))
         assert len(second.scene) > 150, "a densification must lie before the break"
         size = len(second.people[0].human)
         run(second, 40)
-        assert len(second.people[0].human) > size, "and one behind it"
+        assert broken_at == 33 or len(second.people[0].human) > size, "and one behind it"
         assert same(straight, second)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("triplane", [True, False])
+def test_networks_rest_in_the_end_and_own_corrections_go_on(clip, triplane):
+    fit = fit_of(clip, triplane=triplane, networks_until=0.5)
+    run(fit, 21)
+    human, own = fit.people[0].human, {id(p) for p in fit.people[0].human.residuals.parameters()}
+    before = {name: p.clone() for name, p in human.named_parameters()}
+    run(fit, 30)
+    moved = {name: not torch.equal(p, before[name]) for name, p in human.named_parameters() if p.requires_grad}
+    corrections = {name for name, p in human.named_parameters() if id(p) in own}
+    assert all(moved[name] for name in corrections if name.endswith(("turn", "scale", "opacity", "sh")))
+    shared = [moved[name] for name in moved if name not in corrections]
+    assert any(shared) != triplane, "without a triplane all a Gaussian has is its own"
 
 
 @pytest.mark.slow
@@ -119,7 +135,7 @@ def test_a_doubtful_pose_teaches_as_little_as_it_is_trusted(clip):
 def spoil(fit: Fit, part: str, wrong: Callable[[torch.Tensor], torch.Tensor]) -> None:
     """Make the gradients of a part of the person at rest wrong from now on."""
     resting = fit.people[0].resting
-    fit.people[0].resting = lambda: (r := resting(), getattr(r, part).register_hook(wrong))[0]
+    fit.people[0].resting = lambda learn: (r := resting(learn), getattr(r, part).register_hook(wrong))[0]
 
 
 def poisoned(fit: Fit, tensor: torch.Tensor, row: int, by: float) -> None:
