@@ -165,7 +165,7 @@ def texts(array: np.ndarray, count: int, key: str, path: Path | str, hint: str =
     """The `count` texts of an array, whole numbers as texts; StageError for anything else."""
     if array.shape != (count,) or array.dtype.kind not in "USiu":
         facts = [f"found {array.dtype} {array.shape}, wanted {count} texts or whole numbers"]
-        raise StageError(f"{key} in {path} does not have a name for each row", hint, facts)
+        raise StageError(f"{key} in {path} does not name all rows", hint, facts)
     return [one.decode(errors="replace") if isinstance(one, bytes) else str(one) for one in array.tolist()]
 
 
