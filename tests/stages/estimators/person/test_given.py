@@ -255,7 +255,7 @@ MALFORMED = {
     "npz cut short": (lambda d, p, o: cut(stack(d / "a.npz", masks=p), 500), "cannot read", "zip"),
     "npz of something else": (lambda d, p, o: stack(d / "a.npz", poses=np.zeros((10, 72))), "5 of 5 frames",
                               "poses|given"),
-    "names too few": (lambda d, p, o: stack(d / "a.npz", masks=p, names=np.array(["1", "2"])), "name for each row",
+    "names too few": (lambda d, p, o: stack(d / "a.npz", masks=p, names=np.array(["1", "2"])), "name .*rows",
                       r"\(2,\), wanted 10"),
     "two names alike": (lambda d, p, o: stack(d / "a.npz", masks=p, names=np.array(["000000"] * 10)), "two masks",
                         "000000"),
