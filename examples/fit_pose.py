@@ -29,8 +29,10 @@ ROWS = [hugs.JOINT_NAMES.index(name) - 1 for name in BIG]  # their rows in body_
 LIMBS = torch.arange(3 * len(BIG)).reshape(len(CHAINS), -1)  # which of the numbers that are looked for turn a limb
 COARSE = ((4, 0.02, 10), (3, 0.01, 10))
 TRIED = (2, 0.005, 6)
-FINE = ((2, 0.005, 10), (1, 0.002, 10), (1, 0.0002, 20), (1, 0.0002, 20))
+FINE = ((2, 0.005, 10), (1, 0.005, 10), (1, 0.003, 20), (1, 0.003, 20))
 """How often the picture is halved, how strongly the start is held, and steps: a coarse picture leads limbs from afar."""
+MISS = 0.1
+"""A colour that is off by more than this counts little more: shadows that no avatar has are in real pictures."""
 REACH = np.radians(30)
 """How far a joint may go from the start: a left leg that looks like the right one is not taken for it."""
 
@@ -55,9 +57,11 @@ def fit(
         return pose.repeat(len(free), 1, 1).index_add(1, rows, turns)
 
     def misses(free: Tensor, halvings: int, hold: float) -> Tensor:  # [P,M]
-        image, alpha, _ = hugs.draw(avatar.pose(turned_by(free), start.global_orient, start.transl), near)
-        seen = halved((image + (1 - alpha)[..., None] * behind - picture).movedim(-1, 1), halvings)
-        return torch.cat([*seen, hold * REACH * picture.numel() ** 0.5 * free], 1)  # what nothing shows stays as it was
+        person = avatar.pose(turned_by(free), start.global_orient, start.transl)
+        image, alpha, _ = hugs.draw(person, near, light=avatar.light)
+        seen = torch.cat(halved((image + (1 - alpha)[..., None] * behind - picture).movedim(-1, 1), halvings), 1)
+        seen = seen * (1 + (seen / MISS).square()).rsqrt()
+        return torch.cat([seen, hold * REACH * picture.numel() ** 0.5 * free], 1)  # what nothing shows stays as it was
 
     free = torch.zeros(LIMBS.numel())
     for stage in COARSE:
@@ -132,11 +136,11 @@ def around(person: hugs.Person[Tensor], camera: hugs.Camera) -> tuple[hugs.Camer
 
 
 def drawn(avatar: hugs.Avatar, pose: hugs.Pose, camera: hugs.Camera) -> tuple[Tensor, Tensor]:
-    """A picture [H,W,3] of the person before their scene, and of the scene alone."""
+    """A picture [H,W,3] of the person in the clip's light before their scene, and of the scene alone."""
     person = avatar.pose(torch.as_tensor(pose.body_pose), pose.global_orient, pose.transl)
     height, width = camera.height, camera.width
     behind = torch.zeros(height, width, 3) if avatar.scene is None else hugs.draw(None, camera, avatar.scene).image
-    image, alpha, _ = hugs.draw(person, camera)
+    image, alpha, _ = hugs.draw(person, camera, light=avatar.light)
     return image + (1 - alpha)[..., None] * behind, behind
 
 

@@ -1,6 +1,7 @@
 """Each example for Python runs on a small clip, and its picture shows what it says."""
 
 import importlib.util
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -9,6 +10,7 @@ import pytest
 
 import hugs
 from stages.formats.images import read_image
+from stages.records import Effects
 from tests.made import tiny
 
 FOLDER = Path(__file__).parents[1] / "examples"
@@ -61,11 +63,13 @@ def test_two_people(run, tmp_path):
     assert both[one].mean() > 0.95 and both.sum() > 1.4 * one.sum()
 
 
-def test_a_pose_is_found_in_a_picture_drawn_from_another_side(run):
-    fitting, avatar = example("fit_pose"), hugs.load(run)
+def test_a_pose_is_found_in_a_picture_in_another_light_with_a_shadow_that_is_not_drawn(run):
+    fitting = example("fit_pose")
+    avatar = replace(hugs.load(run), light=Effects(shading=np.full((8, 3), 0.3)))
     true = avatar.motions["clip"][4]
     camera, start = avatar.cameras[4], fitting.turned(avatar, true, 20)
     picture, behind = fitting.drawn(avatar, true, camera)
+    picture[70:80] *= 0.6  # across both thighs
     found = fitting.fit(avatar, picture, behind, camera, start, tries=16)
     before, after = (fitting.apart(pose, true.body_pose) for pose in (start.body_pose, found))
     assert before == pytest.approx(20, abs=1e-3) and after.max() < 2
