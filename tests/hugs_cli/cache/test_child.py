@@ -71,7 +71,7 @@ def test_the_seconds_of_compiling_are_counted_once_for_kernels_that_call_each_ot
     began = time.monotonic()
     outer(3)
     took, counted = time.monotonic() - began, seconds()
-    assert 0 < counted <= took
+    assert 0 < counted <= took + 1e-3, "counted in milliseconds"
     outer(4)
     assert seconds() == counted, "compiled before"
 
