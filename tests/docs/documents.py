@@ -1,4 +1,4 @@
-"""The documents, and what is in them: blocks of code, spans of code, links."""
+"""The documents, and what is in them: blocks of code, spans of code, links, commands."""
 
 from __future__ import annotations
 
@@ -48,6 +48,39 @@ def documents(lab: bool = False) -> list[Document]:
     paths = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
     found = [Document(path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8")) for path in paths]
     return [one for one in found if lab or not one.name.startswith(LAB)]
+
+
+PROGRAMS = ("hugs ", "make ", "pip ", "python -m ", "pre-commit ")
+CHEAP = {
+    "hugs stages",
+    "hugs stages export",
+    "hugs stages train",
+    "hugs doctor",
+    "hugs doctor --json",
+    "hugs --help",
+    "hugs --version",
+}
+"""What is run as it stands."""
+TAKEN = ("animate", "compose", "render", "export", "view", "status", "why", "accept", "gc")
+"""Commands that take a finished run, or an avatar's file; those that name a variant take what a study has made."""
+
+
+def lines() -> list[tuple[str, str]]:
+    """(document, command) of each line of the blocks `console`, without comments."""
+    whole = [(one.name, line) for one in documents() for block in one.blocks("console") for line in block.splitlines()]
+    return [(name, command) for name, line in whole if (command := line.split(" #")[0].strip())]
+
+
+def commands() -> list[tuple[str, str]]:
+    """(document, command) of each line, and of each command in running text."""
+    spans = [(one.name, span) for one in documents() for span in one.spans() if span.startswith(PROGRAMS)]
+    return list(dict.fromkeys([*lines(), *spans]))
+
+
+def of_finished_runs() -> list[str]:
+    """The lines of TAKEN, each once; what makes a film's YAML comes before what films it."""
+    taken = {line for _, line in lines() if line.startswith("hugs ") and line.split()[1] in TAKEN}
+    return sorted((line for line in taken if "default." not in line), key=lambda line: (".yaml" in line, line))
 
 
 @cache

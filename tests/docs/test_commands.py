@@ -1,7 +1,6 @@
 """Every command in the documents is one that exists: its options, its stages, settings, pipelines, axes and modules.
 
-Cheap commands are run. The long ones (run, demo, and what reads their results) are run by tests/test_end_to_end.py and
-tests/hugs_cli; here they are parsed by the real command line.
+They are parsed by the real command line, and the cheap ones run; test_examples.py says where others are.
 """
 
 import importlib.util
@@ -18,33 +17,12 @@ import yaml
 
 from hugs_cli import app, pipelines, within
 from hugs_cli.studies import variants
-from tests.docs.documents import ROOT, documents, hints
+from tests.docs.documents import CHEAP, ROOT, commands, documents, hints, lines
 
-CHEAP = {"hugs stages", "hugs doctor", "hugs --help", "hugs --version"}
-CODES = {"hugs doctor": (0, 1)}  # 1 where models are missing
-PREFIXES = ("hugs ", "make ", "pip ", "python -m ", "pre-commit ")
+CODES = dict.fromkeys(("hugs doctor", "hugs doctor --json"), (0, 1))  # 1 where models are missing
 HUGS = typer.main.get_command(app.app)
 SETTING = re.compile(r"([a-z]+)\.([a-z_0-9]+)(=\S+)?")
 STAGES = pipelines.load("default").stages
-
-
-def block_lines() -> list[tuple[str, str]]:
-    """(document, command) of each line of the blocks `console`, without comments."""
-    lines = [
-        (d.name, line.split(" #")[0].strip())
-        for d in documents()
-        for b in d.blocks("console")
-        for line in b.splitlines()
-    ]
-    return [(name, line) for name, line in lines if line]
-
-
-def span_commands() -> list[tuple[str, str]]:
-    """(document, command) of each command in running text."""
-    return [(d.name, span) for d in documents() for span in d.spans() if span.startswith(PREFIXES)]
-
-
-COMMANDS = list(dict.fromkeys([*block_lines(), *span_commands()]))
 
 
 def parsed(words: list[str], example: bool) -> tuple[str, dict]:
@@ -115,10 +93,10 @@ def check_hooks(words: list[str], example: bool) -> None:
 CHECKS = {"hugs": check_hugs, "make": check_make, "pip": check_pip, "python": check_python, "pre-commit": check_hooks}
 
 
-@pytest.mark.parametrize(("document", "command"), COMMANDS)
+@pytest.mark.parametrize(("document", "command"), commands())
 def test_commands_exist(document, command):
     program, *words = shlex.split(command)
-    CHECKS[program](words, (document, command) in set(block_lines()))
+    CHECKS[program](words, (document, command) in lines())
 
 
 FILLED = ("default", "train", "10m")

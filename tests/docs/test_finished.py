@@ -4,19 +4,14 @@ import csv
 import json
 import shlex
 import shutil
-import sys
-import webbrowser
 from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
 
-from hugs_cli.app import app
 from stages.avatar.cameras.pinhole import look_at, pinhole
 from stages.avatar.drawing.attach import attach
 from stages.avatar.drawing.rig import rig_of
-from stages.filming import outputs
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import write_cameras
 from stages.formats.exchange.ply import write_ply
@@ -27,19 +22,12 @@ from stages.formats.splats import read_avatar, write_splats
 from stages.formats.video import write_video
 from stages.gestures import FACE_NAMES
 from stages.records import BodyPoses, Cameras
-from tests.docs.documents import documents
+from tests.docs.documents import TAKEN, of_finished_runs
 from tests.made import bvh, handed, tiny
-from tests.made.command import hugs_here
-from tests.made.meshes import coarse
+from tests.made.documented import PIPELINES, Place
 
 pytestmark = pytest.mark.slow
 
-HUGS = typer.main.get_command(app)
-
-TAKEN = ("animate", "compose", "render", "export", "view", "status", "why", "accept", "gc")
-OTHERS = ("default.",)
-"""What a study made; tests/hugs_cli/studies has it."""
-SMALLER = {"50000": "300", "4096": "64"}
 MADE = {
     "hugs animate dance.mp4 moves.bvh": "dance-moves.mp4",
     "hugs animate --avatar avatar.npz moves.bvh": "avatar-moves.mp4",
@@ -52,24 +40,8 @@ MADE = {
 """Command -> a file that it promises."""
 
 
-def commands() -> list[str]:
-    """Each once; what makes a film's YAML comes before what films it."""
-    lines = [line.split(" #")[0].strip() for d in documents() for b in d.blocks("console") for line in b.splitlines()]
-    taken = [line for line in lines if line.startswith("hugs ") and line.split()[1] in TAKEN]
-    return sorted(
-        {line for line in taken if not any(word in line for word in OTHERS)}, key=lambda line: (".yaml" in line, line)
-    )
-
-
-def own(command: str) -> list[str]:
-    """Options by which a command finds the pipelines of here, and writes again what it has written."""
-    has = {param.name for param in HUGS.commands[command].params}
-    again = ["--force"] * ("force" in has and command in ("animate", "compose"))
-    return again + ["--pipelines-file", "handed.yaml"] * ("pipelines_file" in has)
-
-
 @pytest.fixture(scope="module")
-def place(tmp_path_factory) -> Path:
+def place(tmp_path_factory) -> Place:
     """Two finished runs, of dance.mp4 and kitchen.mp4, and the files that the documents name."""
     folder = tmp_path_factory.mktemp("finished")
     file = handed.pipelines(folder)
@@ -80,7 +52,7 @@ def place(tmp_path_factory) -> Path:
         "export": {"needs": needs["export"], "module": "stages.export", "params": small},
         "evaluate": {"needs": needs["evaluate"], "module": "stages.evaluate", "params": {"fit_steps": 0}},
     }
-    file.write_text(json.dumps(stages))
+    (folder / PIPELINES).write_text(json.dumps(stages))
     body, made = read_body_model(), folder / "made/train/avatar.npz"
     avatar = attach(read_avatar(made), body, read_hands_face(body))
     for path in (made, folder / "avatar.npz"):
@@ -90,7 +62,7 @@ def place(tmp_path_factory) -> Path:
     for clip in ("dance", "kitchen"):
         write_video(folder / f"{clip}.mp4", rng.integers(0, 255, (12, 64, 48, 3), np.uint8), 12)
     files(folder, avatar.joints)
-    return folder
+    return Place(folder)
 
 
 def files(folder: Path, joints: np.ndarray) -> None:
@@ -111,27 +83,14 @@ def files(folder: Path, joints: np.ndarray) -> None:
         write_ply(folder / name, tiny.make_scene())
 
 
-@pytest.fixture(scope="module")
-def ready(place):
-    """The runs have been made."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(place)
-        yield place
-    for name in [name for name in sys.modules if name.partition(".")[0] == "handed"]:
-        del sys.modules[name]
-
-
-def test_each_command_does_what_it_says(ready, monkeypatch, capsys):
-    monkeypatch.setattr(outputs, "MESH", (300, 64))
-    monkeypatch.setattr(webbrowser, "open", lambda address: True)
+def test_each_command_does_what_it_says(place):
     for clip in ("dance", "kitchen"):
-        hugs_here(ready, monkeypatch, capsys, "run", f"{clip}.mp4", *own("run"))
-    found = commands()
+        place.hugs(f"hugs run {clip}.mp4")
+    found = of_finished_runs()
     assert {line.split()[1] for line in found} == set(TAKEN) and set(MADE) <= set(found)
-    with coarse():
-        for line in found:
-            words = [SMALLER.get(word, word) for word in shlex.split(line)[1:]]
-            if "--out" in words:
-                shutil.rmtree(ready / words[words.index("--out") + 1], ignore_errors=True)
-            hugs_here(ready, monkeypatch, capsys, *words, *own(words[0]))
-            assert line not in MADE or (ready / MADE[line]).stat().st_size, line
+    for line in found:
+        words = shlex.split(line)
+        if "--out" in words:
+            shutil.rmtree(place.folder / words[words.index("--out") + 1], ignore_errors=True)
+        place.hugs(line, *(["--force"] if words[1] in ("animate", "compose") else []))
+        assert line not in MADE or (place.folder / MADE[line]).stat().st_size, line

@@ -19,7 +19,7 @@ from typing import Self
 ROOT = Path(__file__).parents[2]
 LONGEST = 600.0  # s for what takes a few, on a machine with much else to do
 HUGS = "from hugs_cli import main; main()"  # what the installed command does
-READY = "from tests.made.ready import serve; serve()"
+READY = "tests.made.ready"  # what has `serve`
 
 STAGE = '''
 """A stage that writes what its inputs hold, after its own name."""
@@ -74,11 +74,25 @@ NEEDS = {"one": ["video"], "two": ["one"], "three": ["one", "mask_files"], "four
 
 
 @cache
-def ready_made() -> subprocess.Popen:
-    """The process that forks command lines, one for all tests."""
+def ready_made(module: str = READY) -> subprocess.Popen:
+    """The process that forks command lines by the `serve` of a module, one for all tests."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-c", READY]
-    return subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    start = f"from hugs_cli.cache import child; child.prepare(); from {module} import serve; serve()"
+    return subprocess.Popen(
+        [sys.executable, "-c", start], env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+
+
+def forked(
+    folder: Path, environment: dict[str, str], arguments: list[str], code: int = 0, module: str = READY
+) -> tuple[str, str]:
+    """Run a command line in a folder, by `ready_made`; its stdout and stderr. The exit code must be `code`."""
+    with tempfile.NamedTemporaryFile() as out, tempfile.NamedTemporaryFile() as err:
+        job, ready = [str(folder), environment, [str(folder)], arguments], ready_made(module)
+        print(json.dumps([*job, out.name, err.name]), file=ready.stdin, flush=True)
+        ended, said = int(ready.stdout.readline()), (out.read().decode(), err.read().decode())
+    assert ended == code, f"exit code {ended}\n{said[0]}\n{said[1]}"
+    return said
 
 
 class Flow:
@@ -152,13 +166,7 @@ class Flow:
 
     def hugs(self, *args: str, command: str = "run", code: int = 0) -> tuple[str, str]:
         """Run it to its end; its stdout and stderr. The exit code must be `code`."""
-        with tempfile.NamedTemporaryFile() as out, tempfile.NamedTemporaryFile() as err:
-            job = [str(self.folder), self.environment(), [str(self.folder)], self.arguments(command, *args)]
-            ready = ready_made()
-            print(json.dumps([*job, out.name, err.name]), file=ready.stdin, flush=True)
-            ended, said = int(ready.stdout.readline()), (out.read().decode(), err.read().decode())
-        assert ended == code, f"exit code {ended}\n{said[0]}\n{said[1]}"
-        return said
+        return forked(self.folder, self.environment(), self.arguments(command, *args), code)
 
     def ran(self, *args: str) -> dict[str, list[str]]:
         """Run it; the stages that ran (not those cached), each with its reasons."""

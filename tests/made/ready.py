@@ -97,6 +97,18 @@ def alone(work: Callable[[], int], handles: Sequence[int]) -> int:
         sys.stderr.flush()
 
 
+def ended() -> int:
+    """The exit code of the command line, which has said all that it says."""
+    try:
+        main()
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else bool(end.code)
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+    return 0
+
+
 def serve() -> None:
     """Run a command line for each line of stdin, and write its exit code."""
     launcher.subprocess = runner.subprocess = SimpleNamespace(**{**vars(subprocess), "Popen": start})
@@ -111,5 +123,5 @@ def serve() -> None:
             sys.argv = ["hugs", *arguments]
             for number, file in enumerate([os.devnull, *outputs]):
                 os.dup2(os.open(file, os.O_RDWR), number)
-            main()
+            os._exit(ended())
         print(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), flush=True)
