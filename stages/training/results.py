@@ -31,6 +31,7 @@ from stages.training.step.person import PersonLearner
 from stages.training.timing.finishing import HIDDEN, SETTLING, SHAPING, Finishing
 from stages.training.views import FittedBody
 
+HARM = 0.1  # dB of the person in the poses farthest from training that an effect may cost
 UNFINISHED = (ValueError, IndexError, RuntimeError, ArithmeticError, MemoryError)
 """What finishing raises where somebody cannot be finished: the training is over, and is kept."""
 
@@ -183,9 +184,12 @@ def _with_gestures(avatar: Avatar, clip: Clip, say: Finishing) -> Avatar:
 
 
 def effect_facts(
-    found: dict[str, dict[str, Any]], seconds: float, note: Callable[[str], None]
+    found: dict[str, dict[str, Any]], seconds: float, note: Callable[[str], None], warn: Callable[[str], None]
 ) -> dict[str, dict[str, Any]]:
-    """What train.json says of `effect_gains`: dB on the curve's frames, and each one's part of `seconds`."""
+    """What train.json says of `effect_gains`: dB on the curve's frames, and each one's part of `seconds`.
+
+    An effect may win in the clip's poses and lose in new ones: that is a warning.
+    """
     facts = {}
     for name, effect in found.items():
         keys = ("psnr", "psnr_person", "psnr_far")
@@ -197,6 +201,9 @@ def effect_facts(
             gained += f"{gains['psnr_far']:+.1f} in the poses farthest from training, "
         cost = f"{round(spent)} s" if spent > 0 else "no measurable time"
         note(f"{name.replace('_', ' ')}: {gained}{cost} of training")
+        if (far := gains["psnr_far"]) is not None and far < -HARM:
+            others = f"{-far:.1f} dB better without {name.replace('_', ' ')}"
+            warn(f"poses farthest from training are {others}: new poses may be, too; try `--set survey.{name}=never`")
     return facts
 
 

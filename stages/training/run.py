@@ -241,7 +241,7 @@ def finish(training: Training, job: Job) -> Result:
         say.begins(GAINS)
         try:
             found = effect_gains(fit, training.heldout, training.far)
-            effects = effect_facts(found, curve[-1]["seconds"], job.note)
+            effects = effect_facts(found, curve[-1]["seconds"], job.note, job.warn)
         except (FloatingPointError, ValueError) as error:  # a timed step failed: the training is over, and is kept
             job.warn(f"the gains of the effects could not be measured: {error}")
     result = result_of(fit, training.task.clips, curve, effects, say)

@@ -612,16 +612,18 @@ def test_within_a_time_steps_and_sizes_are_chosen_and_a_stopped_run_goes_on(tmp_
 
 
 def test_an_effect_that_the_clock_does_not_see_is_not_said_to_save_time(tmp_path):
-    said = []
+    said, warned = [], []
     found = {
         "shadow": {"psnr": 2.6, "psnr_person": 0.5, "psnr_far": -0.3, "share": -0.046},
         "exposure": {"psnr": 1.0, "psnr_person": 1.0, "psnr_far": None, "share": 0.1},
     }
-    told = effect_facts(found, 100.0, said.append)
+    told = effect_facts(found, 100.0, said.append, warned.append)
     assert [effect["seconds"] for effect in told.values()] == [-4.6, 10.0], "as measured"
     where = "-0.3 in the poses farthest from training"
     assert said[0].startswith("shadow: +2.6 / +0.5 dB") and where in said[0] and "no measurable" in said[0]
     assert said[1].startswith("exposure: +1.0 / +1.0 dB") and holds(said[1], "10 s")
+    (only,) = warned
+    assert holds(only, "0.3 dB", "shadow", "survey.shadow=never"), "what loses in new poses"
 
 
 def test_a_time_is_for_a_training_of_person_and_scene_together(tmp_path, inputs):
