@@ -14,7 +14,6 @@ SOON = 2.0  # s, before which no speed is read
 LATE, LEAST = 0.15, 1.0  # of the time since something was heard, and s: what ought to be over takes that long at least
 SURE = 0.3  # of all that was guessed: steps counted for less time show less, since some steps are longer
 GUESSED = 0.05  # of all that was guessed: the guess counts as much as what was seen of so much
-MOST = 5.0  # times as slow, or as fast, as guessed, at most
 
 
 @dataclass
@@ -113,8 +112,9 @@ class Countdown:
         own = progress.left(now)
         if own is None:
             own = expected
-        elif "left" not in progress.event:
-            own = sure * own + (1 - sure) * expected
+        else:
+            weight = sure if "left" in progress.event else sure * progress.done
+            own = weight * own + (1 - weight) * expected
         return own + slow * sum(one.seconds for _, one in rest)
 
     @property
@@ -123,17 +123,15 @@ class Countdown:
         return self.guessed + sum(one.running for _, one in self.stages)
 
     def _sure(self, progress: Progress) -> float:
-        """How much the steps of the running stage show, 0 to 1: the share that is done, less after a short time."""
+        """How much the running stage's own numbers show, 0 to 1: less after a short time."""
         seen = progress.marks.seen
-        return progress.done * min(1.0, (seen[-1][0] - seen[0][0]) / (SURE * self._whole)) if seen else 0.0
+        return min(1.0, (seen[-1][0] - seen[0][0]) / (SURE * self._whole)) if seen else 0.0
 
     def _slow(self, guess: Guess, sure: float, progress: Progress, now: float) -> float:
         """How many times as long as guessed stages take: those that have ended, and the running one, from a while ago until it
         ends by its own number."""
         took, guessed, own, mark = self.took, self.guessed, progress.left(now), progress.marks.since()
         if own is not None and mark and (ahead := 1 - mark[1] / max(progress.event["total"], 1)) > 0:
-            took += sure * (now - mark[0] + own) / ahead
-            guessed += sure * guess.running
-        if not guessed:
-            return 1.0
-        return min(max(took / guessed, 1 / MOST), MOST) ** (guessed / (guessed + GUESSED * self._whole))
+            took += sure * progress.done * (now - mark[0] + own) / ahead
+            guessed += sure * progress.done * guess.running
+        return (took / guessed) ** (guessed / (guessed + GUESSED * self._whole)) if took > 0 and guessed > 0 else 1.0
