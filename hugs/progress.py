@@ -67,7 +67,7 @@ class Listener(Console):
     def ended(self, stage: str, outcome: Outcome) -> None:
         """Pass on that a stage has ended."""
         if self.countdown:
-            self.countdown.ended(stage, self.clock())
+            self.countdown.ended(stage, outcome.seconds, outcome.compiling)
         self.hear(Progress(stage, ENDINGS.get(outcome.kind, "failed"), said=(*outcome.notes, *outcome.warnings)))
 
     def started(self, stage: str, reasons: tuple[Reason, ...]) -> None:

@@ -103,7 +103,7 @@ class Console:
     def expect(self, stages: Iterable[tuple[str, times.Guess]]) -> None:
         """Say how long stages to run will take, given in order, and count them down from now on."""
         known = list(stages)
-        self.countdown = Countdown([(name, guess.seconds) for name, guess in known], self.clock())
+        self.countdown = Countdown(known)
         if known:
             self.say(f"this run takes {times.said(times.total(guess for _, guess in known))}")
 
@@ -162,7 +162,7 @@ class Console:
     def ended(self, stage: str, outcome: Outcome) -> None:
         """A stage's process has ended: print its row, its notes and its warnings."""
         if self.countdown:
-            self.countdown.ended(stage, self.clock())
+            self.countdown.ended(stage, outcome.seconds, outcome.compiling)
         state = ENDINGS.get(outcome.kind, "failed")
         text = self.reasons
         notes = [note for note in outcome.notes if note not in self.shown_notes]

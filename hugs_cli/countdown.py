@@ -6,13 +6,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
+from hugs_cli.times import Guess
+
 RECENT = 1 / 3  # of the time so far: what the speed is read from, so that a machine that becomes slow is noticed
 FINE = 1 / 200  # of the time so far: marks lie no closer
 SOON = 2.0  # s, before which no speed is read
 LATE, LEAST = 0.15, 1.0  # of the time since something was heard, and s: what ought to be over takes that long at least
-SLOW = 0.8  # exponent of how much slower than expected it went, for what is still to come: a part of that is chance
-SURE = 0.3  # of all that is expected, after which that counts whole
-MOST = 5.0  # times as slow as expected, at most
+SURE = 0.3  # of all that was guessed: steps counted for less time show less, since some steps are longer
+GUESSED = 0.05  # of all that was guessed: the guess counts as much as what was seen of so much
 
 
 @dataclass
@@ -27,12 +28,18 @@ class Marks:
             self.seen.pop()
         self.seen.append((now, done))
 
-    def speed(self) -> float | None:
-        """Done in a second lately; None before SOON, and where nothing was done."""
+    def since(self) -> tuple[float, float] | None:
+        """The mark from which on the speed is read; None before SOON."""
         if not self.seen or (end := self.seen[-1][0]) - self.seen[0][0] < SOON:
             return None
-        since, done = end - max(SOON, RECENT * (end - self.seen[0][0])), self.seen[-1][1]
-        began, before = next((mark for mark in reversed(self.seen[:-1]) if mark[0] <= since), self.seen[0])
+        since = end - max(SOON, RECENT * (end - self.seen[0][0]))
+        return next((mark for mark in reversed(self.seen[:-1]) if mark[0] <= since), self.seen[0])
+
+    def speed(self) -> float | None:
+        """Done in a second lately; None before SOON, and where nothing was done."""
+        if (mark := self.since()) is None:
+            return None
+        (began, before), (end, done) = mark, self.seen[-1]
         return (done - before) / (end - began) if done > before else None
 
 
@@ -44,6 +51,13 @@ class Progress:
     event: dict[str, Any] = field(default_factory=dict)
     at: float = 0.0
     marks: Marks = field(default_factory=Marks)
+    stepped: float | None = None
+    """When something was done at first, and so its kernels were compiled."""
+
+    @property
+    def done(self) -> float:
+        """The share of its steps that is done."""
+        return self.event["done"] / max(self.event["total"], 1) if self.event else 0.0
 
     def take(self, event: dict[str, Any], now: float) -> None:
         """Keep a progress event. A new total or a step back begins a new part, which has its own speed."""
@@ -51,6 +65,8 @@ class Progress:
             self.marks = Marks()
         self.marks.add(now, event["done"])
         self.event, self.at = event, now
+        if self.stepped is None and event["done"]:
+            self.stepped = now
 
     def left(self, now: float) -> float | None:
         """Seconds until it ends: the stage's own number, or from its speed; None in the first SOON s. Never 0."""
@@ -66,33 +82,56 @@ def remaining(left: float, since: float) -> float:
 
 
 class Countdown:
-    """Counts down what is to run: stages in order, each with the seconds that are expected."""
+    """Counts down what is to run: stages in order, each with its guess, and corrects these by how long the first ones take."""
 
-    def __init__(self, stages: Iterable[tuple[str, float]], now: float):
-        self.stages, self.over, self.marks = list(stages), 0.0, Marks()
-        self.marks.add(now, 0.0)
+    def __init__(self, stages: Iterable[tuple[str, Guess]]):
+        self.stages = list(stages)
+        self.took = self.guessed = 0.0  # s of stages that have ended, without compiling
 
     def started(self, stage: str) -> None:
         """A stage begins: those expected before it are not run after all."""
         self.stages = self.stages[next((i for i, (name, _) in enumerate(self.stages) if name == stage), 0) :]
 
-    def ended(self, stage: str, now: float) -> None:
-        """A stage that had begun has ended."""
+    def ended(self, stage: str, seconds: float, compiling: float) -> None:
+        """A stage that had begun has ended, after `seconds`, in some of which it was `compiling`."""
         if self.stages and self.stages[0][0] == stage:
-            self.over += self.stages.pop(0)[1]
-            self.marks.add(now, self.over)
+            self.took += seconds - compiling
+            self.guessed += self.stages.pop(0)[1].running
 
     def left(self, stage: str, progress: Progress, now: float) -> float | None:
         """Seconds until the last stage ends, while `stage` runs; None where nothing was expected."""
         if not self.stages or self.stages[0][0] != stage:
             return None
-        expected = self.stages[0][1]
-        own, event = progress.left(now), progress.event
-        if event:
-            self.marks.add(progress.at, self.over + expected * event["done"] / max(event["total"], 1))
-        rest = sum(seconds for _, seconds in self.stages)
-        passed = self.marks.seen[-1][1] / max(self.over + rest, LEAST)
-        slow = min(max(1 / (self.marks.speed() or 1.0), 1 / MOST), MOST) ** (SLOW * min(1.0, passed / SURE))
+        (_, guess), *rest = self.stages
+        sure = self._sure(progress)
+        slow = self._slow(guess, sure, progress, now)
+        if guess.compiling and progress.stepped is not None:
+            expected = remaining(slow * guess.running, now - progress.stepped)
+        else:
+            expected = remaining(slow * guess.seconds, now - progress.started)
+        own = progress.left(now)
         if own is None:
-            own = remaining(slow * expected, now - progress.started)
-        return own + slow * (rest - expected)
+            own = expected
+        else:
+            weight = sure if "left" in progress.event else sure * progress.done
+            own = weight * own + (1 - weight) * expected
+        return own + slow * sum(one.seconds for _, one in rest)
+
+    @property
+    def _whole(self) -> float:
+        """Guessed seconds of all stages, without compiling."""
+        return self.guessed + sum(one.running for _, one in self.stages)
+
+    def _sure(self, progress: Progress) -> float:
+        """How much the running stage's own numbers show, 0 to 1: less after a short time."""
+        seen = progress.marks.seen
+        return min(1.0, (seen[-1][0] - seen[0][0]) / (SURE * self._whole)) if seen else 0.0
+
+    def _slow(self, guess: Guess, sure: float, progress: Progress, now: float) -> float:
+        """How many times as long as guessed stages take: those that have ended, and the running one, from a while ago until it
+        ends by its own number."""
+        took, guessed, own, mark = self.took, self.guessed, progress.left(now), progress.marks.since()
+        if own is not None and mark and (ahead := 1 - mark[1] / max(progress.event["total"], 1)) > 0:
+            took += sure * progress.done * (now - mark[0] + own) / ahead
+            guessed += sure * progress.done * guess.running
+        return (took / guessed) ** (guessed / (guessed + GUESSED * self._whole)) if took > 0 and guessed > 0 else 1.0

@@ -64,12 +64,17 @@ class Guess(NamedTuple):
     off: float
     compiling: float = 0.0
 
+    @property
+    def running(self) -> float:
+        """Seconds without these."""
+        return self.seconds - self.compiling
+
 
 USUAL: dict[str, tuple[Sizes, dict[str, float]]] = {
     "default": (Sizes(), {"frames": 2.0, "masks": 16.0, "sfm": 14.0, "smpl": 15.0, "survey": 6.0, "train": 242.0,
                           "export": 9.0, "render": 9.0, "evaluate": 31.0}),
-    "preview": (Sizes(24, 267 * 480, 280), {"frames": 2.0, "masks": 4.0, "sfm": 3.0, "smpl": 6.0, "survey": 3.0,
-                                            "train": 33.0, "export": 1.0, "render": 7.0, "evaluate": 4.0}),
+    "preview": (Sizes(20, 267 * 480, 200), {"frames": 1.3, "masks": 7.0, "sfm": 3.0, "smpl": 11.5, "survey": 6.0,
+                                            "train": 21.0, "export": 2.0, "render": 3.8, "evaluate": 2.6}),
 }  # fmt: skip
 """Pipeline -> sizes, and seconds of its stages; others are as `default`. The phone clip, 2 idle cores, November 2026: 5 min 45 s,
 shared out as in runs beside other work (docs/lab/2026-11/pipelines-and-people.md)."""

@@ -107,8 +107,8 @@ class Promise:
         free = times.free() if missing or not begun else 1.0
         ahead = known.forecast(self.session, [*missing, "train", *self._after()])
         rest = sum(one.seconds for name, one in ahead.items() if name != "train")
-        seconds = {name: one.seconds for name, one in ahead.items()} | {"train": max(self.seconds - rest, least / free)}
-        console.countdown = Countdown(seconds.items(), console.clock())
+        fitted = ahead["train"]._replace(seconds=max(self.seconds - rest, least / free), compiling=0.0)
+        console.countdown = Countdown((ahead | {"train": fitted}).items())
         before = sum(one.seconds for one in known.forecast(self.session, missing, now=False).values())
         return {"before": round(before / free, 1), "from": round(least / free, 1), "share": round(free, 2)}
 

@@ -11,7 +11,7 @@ from pydantic import Field
 from stages import contract
 from stages.contract import Job, StageError
 from stages.estimators.words import listed
-from stages.formats.facts import Listing, read_facts, write_facts
+from stages.formats.facts import Listing, Smpl, read_facts, write_facts
 from stages.formats.lengths import Heights, Scale
 from stages.formats.people import folder_of, job_of, people_of
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from stages.estimators.bodyfit.metre import Metre
     from stages.estimators.bodyfit.reporting import Fitted
     from stages.gestures import HandPoses
-    from stages.records import BodyPoses
+    from stages.records import BodyPoses, Ground
 
 LOADS = contract.ADAM
 OVERLAP_LEAST = 0.5  # mean overlap of an imported body's hull and the mask's below which it is doubtful
@@ -65,12 +65,12 @@ def run(
     landmarks: Path | None = None,
     body_model: Path | None = None,
 ) -> None:
-    """Write body.npz, hands.npz, body_model.npz, ground.json, smpl.json, and landmarks.npz if the poses were estimated here.
+    """Write body.npz, hands.npz, body_model.npz, ground.json, smpl.json, pictures of the fit in overlays/, and landmarks.npz if the
+    poses were estimated here.
 
     Poses come from `smpl_fit`, from the fit that a data set brought along, or from `landmarks`, else BlazePose's, and the masks.
-    Frames without a person are filled in between their neighbours with confidence 0. Of further people body.npz, hands.npz,
-    smpl.json and landmarks.npz are in people/2 and so on, in the world of the first. Raises StageError if nearly no frame shows
-    a person.
+    Frames without a person are filled in between their neighbours with confidence 0. What is
+    of further people is in people/2 and so on, in the world of the first. Raises StageError if nearly no frame shows a person.
     """
     import numpy as np
 
@@ -111,6 +111,20 @@ def run(
     ground = floor_of(clip, *((fit.model, fit.poses) for fit in fits))
     write_ground(job.out / "ground.json", ground)
     report_ground(job, ground)
+    draw_fits(sfm, job.out, ground)
+
+
+def draw_fits(sfm: Path, smpl: Path, ground: Ground) -> None:
+    """Write pictures of the fit of each person, for the report."""
+    from stages.estimators.bodyfit.overlay import overlays
+    from stages.formats.clip import load_people
+    from stages.formats.images import write_image
+
+    for clip in load_people(sfm, smpl):
+        folder = folder_of(smpl, clip.person)
+        (folder / "overlays").mkdir(exist_ok=True)
+        for name, picture in overlays(clip, ground, read_facts(folder / "smpl.json", Smpl)):
+            write_image(folder / "overlays" / f"{name}.png", picture)
 
 
 def check_apart(found: list[BodyPoses], smpl_fit: Path | None) -> None:

@@ -72,7 +72,7 @@ def run(cases: list[Case], device: str, console: Console) -> dict[str, Any]:
     `compare_with_paper`."""
     found: dict[str, list[Scores]] = {}
     ahead = expected(cases, device_of(device)[0])
-    console.countdown = Countdown([(name, guess.seconds) for name, guess in ahead], console.clock())
+    console.countdown = Countdown(ahead)
     for i, case in enumerate(cases):
         if case.variant in NEEDS_SCENE and found[""][0]["full"]["psnr"] is None:
             console.say(f"{case.session.pipeline.name} is left out: it needs a scene, and this clip has none")

@@ -12,11 +12,13 @@ from stages.avatar.drawing.pixels import to_uint8
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.gaussians import together
 from stages.formats.cameras import read_cameras
+from stages.formats.ground import read_ground
 from stages.formats.images import write_image, write_mask
 from stages.formats.people import folder_of
 from stages.formats.poses import read_poses, write_poses
 from stages.formats.splats import read_avatar, read_scene, write_splats
 from stages.records import Effects
+from stages.smpl import draw_fits
 from tests.made import tiny
 from tests.made.learned import draw, load_learned
 
@@ -64,4 +66,5 @@ def make(folder: Path) -> dict[str, Path]:
         write_mask(sfm / "masks" / f"{name}.png", to_uint8(draw(together(there), None, camera)[1]))
         for k, share in enumerate(shares, 1):
             write_mask(sfm / "people" / str(k) / "masks" / f"{name}.png", to_uint8(share))
+    draw_fits(sfm, smpl, read_ground(smpl / "ground.json"))
     return folders

@@ -24,12 +24,13 @@ from stages.avatar.rasterize import Camera
 from stages.contract import StageRecord
 from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import write_cameras
-from stages.formats.ground import write_ground
+from stages.formats.ground import read_ground, write_ground
 from stages.formats.images import write_image, write_mask
 from stages.formats.points import write_points
 from stages.formats.poses import write_poses
 from stages.formats.splats import write_splats
 from stages.records import Avatar, BodyPoses, Cameras, Effects, Ground, Scene
+from stages.smpl import draw_fits
 from tests.made.learned import draw, load_learned
 
 FRAMES, WIDTH, HEIGHT, EMPTY = 8, 96, 128, 7
@@ -154,6 +155,7 @@ def drawn(scene: bool) -> TemporaryDirectory:
         for place in masks:
             write_mask(place / f"{name}.png", to_uint8(mask))
     write_facts(folders, scene)
+    draw_fits(sfm, smpl, read_ground(smpl / "ground.json"))
     return kept
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,19 +10,16 @@ import cv2
 import numpy as np
 
 from stages.commands.report.results import who_of
+from stages.estimators.bodyfit.overlay import BLUE, SHOWN, draw_edge
 from stages.formats import page
 from stages.formats.images import evenly, read_image, read_mask
 
 if TYPE_CHECKING:
-    from stages.formats.clip import Clip
-    from stages.formats.facts import Sfm, Smpl
+    from stages.formats.facts import Sfm
     from stages.formats.page import Figure
-    from stages.records import Ground
 
-SHOWN = 6  # pictures of a kind
-DOUBTFUL = 3  # frames, at most, that are shown because their pose is doubtful
 SMALL = 360  # px, the longer side of pictures that only show what was taken
-BLUE, ORANGE, PAPER = (31, 111, 235), (255, 140, 0), (252, 252, 253)
+PAPER = (252, 252, 253)
 MAP = 560  # px, the longer side of the map of cameras
 FAR = 98  # percent of the points are inside the map
 
@@ -59,16 +56,17 @@ def cameras(sfm: Path) -> dict[str, Any]:
 
 def body(sfm: Path, smpl: Path) -> dict[str, Any]:
     """The fitted body over frames, and from the side; of each person."""
-    from stages.formats.clip import load_people
     from stages.formats.facts import Smpl, read_facts
-    from stages.formats.ground import read_ground
     from stages.formats.people import folder_of, people_of
 
-    ground, numbers = read_ground(smpl / "ground.json"), people_of(sfm)
-    overlays: list[Figure] = []
-    for one in load_people(sfm, smpl):
-        fit = read_facts(folder_of(smpl, one.person) / "smpl.json", Smpl)
-        overlays += _overlays(one, ground, fit, who_of(one.person, numbers))
+    people, overlays = people_of(sfm), []
+    for person in people:
+        folder, who = folder_of(smpl, person), who_of(person, people)
+        doubtful = read_facts(folder / "smpl.json", Smpl).doubtful
+        for path in sorted((folder / "overlays").glob("*.png")):
+            frame = f"{who}frame {path.stem}{', doubtful' * (path.stem in doubtful)}"
+            caption = f"{frame}: body blue, mask edge orange; beside it from the side, the camera far to the left"
+            overlays.append(page.picture(read_image(path), caption))
     return {"overlays": overlays, "outlines": None}
 
 
@@ -113,39 +111,8 @@ def _small(image: np.ndarray) -> np.ndarray:
 
 def _outlined(images: Path, masks: Path, name: str) -> Figure:
     image, mask = read_image(images / f"{name}.png"), read_mask(masks / f"{name}.png")
-    _draw_edge(image, mask)
+    draw_edge(image, mask)
     return page.picture(_small(image), f"frame {name}, the mask's edge orange")
-
-
-def _draw_edge(image: np.ndarray, mask: np.ndarray) -> None:
-    edges, _ = cv2.findContours((mask > 127).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    cv2.drawContours(image, edges, -1, ORANGE, max(1, image.shape[0] // 400))
-
-
-def _overlays(clip: Clip, ground: Ground, fit: Smpl, who: str) -> Iterator[Figure]:
-    """Over evenly spread frames, and doubtful ones, the posed body in blue and the edge of the mask in orange, and the body from
-    the side. `who` begins each caption.
-    """
-    from stages.avatar.cameras.pinhole import camera_centers
-    from stages.avatar.kernels.mesh import covered
-    from stages.estimators.bodyfit.posed import posed_bodies
-    from stages.estimators.bodyfit.side_view import side_view
-
-    doubtful = [name for name in clip.names if name in fit.doubtful]
-    names = sorted({*_spread(clip.names), *_spread(doubtful)[:DOUBTFUL]})
-    model, chosen = clip.body_model, [clip.names.index(name) for name in names]
-    for i, vertices in zip(chosen, posed_bodies(model, clip.body, chosen), strict=True):
-        image = clip.images(i).copy()
-        inside = covered(vertices, model.faces, clip.viewmats[i], clip.Ks[i], clip.width, clip.height)
-        image[inside] = (0.6 * image[inside] + 0.4 * np.array(BLUE)).astype(np.uint8)
-        _draw_edge(image, clip.own_mask(i))
-        expected = fit.expected_error_mm.get(clip.names[i])
-        off = None if expected is None else np.array(expected.along) / 1000
-        eye = camera_centers(clip.viewmats[i : i + 1])[0]
-        beside = side_view(vertices, model.faces, model.J_regressor @ vertices, off, eye, ground, clip.height)
-        frame = f"{who}frame {clip.names[i]}{', doubtful' * (clip.names[i] in doubtful)}"
-        caption = f"{frame}: body blue, mask edge orange; beside it from the side, the camera far to the left"
-        yield page.picture(np.concatenate([image, beside], 1), caption)
 
 
 def _rungs(found: Sfm) -> list[str]:

@@ -5,6 +5,8 @@ import json
 import os
 import re
 import shutil
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -20,6 +22,7 @@ from stages.formats.facts import Dataset, Metrics
 from stages.formats.images import write_image
 from tests.made import tiny as tiny_clip
 from tests.made.browser import FOUND, LOADED, probe
+from tests.made.command import ROOT
 from tests.made.devtools import Page
 from tests.made.meshes import coarse
 from tests.made.said import holds
@@ -76,6 +79,18 @@ def page(finished):
     folder, rows = finished
     assert show(folder, rows, over=True) == []
     return folder / report.PAGE
+
+
+def test_a_process_that_makes_the_page_loads_neither_torch_nor_numba(page):
+    """They take two thirds of its time; a page of `preview` is to take 2 % of the run."""
+    lines = (
+        "import sys; from pathlib import Path; from stages.commands import report",
+        "folder = Path(sys.argv[1])",
+        "print(report.write(folder, report.State.read((folder / report.STATE).read_text()), {}))",
+        "print(sorted({'torch', 'numba', 'llvmlite'} & set(sys.modules)))",
+    )
+    command = [sys.executable, "-c", "; ".join(lines), str(page.parent)]
+    assert subprocess.run(command, cwd=ROOT, capture_output=True, text=True).stdout.split() == ["[]", "[]"]
 
 
 def beside(text):

@@ -23,7 +23,7 @@ from stages.filming.clip_cast import completed, floor_under, load_cast, posed_as
 from stages.filming.spec import Person
 from stages.formats.body_model import read_body_model
 from stages.formats.clip import load_people
-from stages.formats.facts import Metrics, Seconds, Smpl, read_facts
+from stages.formats.facts import Metrics, Seconds
 from stages.formats.ground import read_ground
 from stages.formats.images import read_image
 from stages.formats.people import folder_of
@@ -129,11 +129,9 @@ def test_films_files_and_the_report_show_both(clip, measured, exported, tmp_path
 
 
 def test_the_report_says_whose_bodies_and_numbers_it_shows(clip):
-    people, ground = load_people(clip["sfm"], clip["smpl"]), read_ground(clip["smpl"] / "ground.json")
-    facts = read_facts(clip["smpl"] / "smpl.json", Smpl)
-    whose = [results.who_of(one.person, range(1, 3)) for one in people]
-    figures = [next(of_clip._overlays(one, ground, facts, who)) for one, who in zip(people, whose)]
-    assert [one.caption.partition(": body")[0] for one in figures] == [f"person {k}: frame 000000" for k in (1, 2)]
+    figures = of_clip.body(clip["sfm"], clip["smpl"])["overlays"]
+    whose = [one.caption.partition(": body")[0] for one in figures if "frame 000000" in one.caption]
+    assert whose == [f"person {k}: frame 000000" for k in (1, 2)]
     scores = {region: {"psnr": 30.0} for region in ("full", "person_crop", "person_white")}
     known = {"heldout": scores, "seconds": Seconds(total=1), "peak_memory_bytes": 1}
     one, two = (Metrics.model_construct(**known, people=others) for others in ({}, {"2": {"heldout": scores}}))
