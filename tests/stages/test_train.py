@@ -227,7 +227,7 @@ def test_l11_outputs_and_the_avatar_needs_no_network(made, held, monkeypatch):
         network = posed(fit, rest(short, fit.people[0].canonical_bones), *body)
     facts, n = json.loads((plain / "train.json").read_text()), len(network.means)
     assert facts["gaussians"]["human"] == len(baked.means) == n + facts["lining"] and facts["lining"] > 0
-    assert facts["strays"] == (~stay).sum() < 0.01 * n and facts["snapped"] == moved < 0.2 * n
+    assert facts["strays"] == (~stay).sum() < 0.01 * n and facts["snapped"] == moved < 0.6 * n
     assert facts["shortened"] == longer
     covariances = [(splats.axes @ splats.axes.mT)[:n] for splats in (baked, network)]
     held((covariances[0] - covariances[1]).abs().max() / covariances[1].abs().max(), 1e-4)

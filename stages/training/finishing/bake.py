@@ -53,7 +53,7 @@ COUNTED = {
     "broken": "",
     "strays": "left out that strayed from the body or float beside it",
     "recolored": "that no frame shows well take the colours seen around them",
-    "snapped": "put back that stood out of the surface where frames look from one side only",
+    "snapped": "put back that stood out of the surface",
     "shortened": f"cut to {SHORT:g} times the length that they began with",
     "lining": "",
     "unseen": "of the person that no frame shows have the place and shape of the body",

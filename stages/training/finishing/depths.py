@@ -1,4 +1,4 @@
-"""Puts Gaussians back into the surface where frames look from one side only and cannot tell their depth."""
+"""Puts Gaussians back into the surface, and presses them flat where frames look from one side only and cannot tell their depth."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ from stages.training.views import FittedBody, Views, person_frames
 
 UNDER = 4  # points of the surface that tell where it is
 AROUND = 24  # neighbours over the skin whose middle height is that of the surface
-OUT = 0.005  # metres from it that a Gaussian may stand out. Phone clip, 10,000 steps: 0.06 / 0.07 dB; 0.01 leaves dots
+OUT = 0.001  # metres from it that a Gaussian may stand out, along the sight
 FACING = 0.5  # least cosine between sight and skin: what is seen edge-on is held by outlines. With 0.3 it costs 0.2 dB
-PROUD = 0.008  # metres from it that one may stand out that is seen edge-on: beyond is a dot beside the outline of other poses
-ONE_SIDE = 0.8  # least share of the main sight in all: frames that look from elsewhere, too, tell the depth
+PROUD = 0.002  # metres from it that one may stand out that is seen edge-on: beyond is a dot beside the outline of other poses
+ONE_SIDE = 0.8  # least share of the main sight in all: frames that look from elsewhere, too, tell how thick one is
+FLAT = 0.0025  # metres across the skin, sigma: a thicker one is a hair at the outline, seen aslant. With 1.5 mm it costs 0.2 dB
 
 
 @torch.no_grad()
 def snap_to_surface(person: Canonical, body: FittedBody, views: Views, frames: list[int]) -> tuple[Canonical, int]:
     """Move Gaussians that stand out of the canonical person's surface back along the sights of `frames`; also how many.
 
-    Those frames see no change; from the side it was a dot off the outline, and longer training makes more of
-    them. Along the normal of the skin the same move costs ten times as much: only what is PROUD and seen edge-on goes so.
+    Those frames see no change; from the side it was a dot off the outline. Along the normal of the skin the same move costs ten
+    times as much: only what is PROUD and seen edge-on goes so. What frames show from ONE_SIDE is pressed FLAT.
     """
     surface, outwards, _ = body.surface()
     under, shares = shares_near(surface, person.means, UNDER)
@@ -34,11 +35,26 @@ def snap_to_surface(person: Canonical, body: FittedBody, views: Views, frames: l
     off = height - height[nearest(foot, foot, AROUND + 1)[1][:, 1:]].median(1).values
     sights, alike = _sights(person, body, views, frames)
     facing = (sights * normals).sum(1)
-    faces, unsure = facing.abs() > FACING, alike > ONE_SIDE
-    moved, proud = unsure & faces & (off.abs() > OUT), unsure & ~faces & (off > PROUD)
+    seen, faces = alike > 0, facing.abs() > FACING
+    moved, proud = seen & faces & (off.abs() > OUT), seen & ~faces & (off > PROUD)
     back = torch.where(moved, (off - off.clamp(-OUT, OUT)) / facing, 0)[:, None] * sights
     back += torch.where(proud, off - PROUD, 0)[:, None] * normals
-    return person._replace(means=person.means - back), int((moved | proud).sum())
+    person = _flat(person._replace(means=person.means - back), normals, alike > ONE_SIDE)
+    return person, int((moved | proud).sum())
+
+
+def _flat(person: Canonical, normals: Tensor, which: Tensor) -> Canonical:
+    """The person, of whom those Gaussians [N] are no thicker than FLAT along normals[N,3], and as wide as before across them."""
+    axes = person.rotations * person.scales[:, None, :]
+    along = (normals[:, None] @ axes)[:, 0]
+    less = (1 - FLAT / along.norm(dim=1).clamp_min(1e-12)).clamp_min(0)
+    pressed = which & (less > 0)
+    axes = (axes - normals[:, :, None] * (less[:, None] * along)[:, None])[pressed]
+    turns, sigmas, _ = (found.to(axes) for found in torch.linalg.svd(axes.cpu()))
+    rotations, scales = person.rotations.clone(), person.scales.clone()
+    rotations[pressed] = turns * torch.linalg.det(turns)[:, None, None].sign()
+    scales[pressed] = sigmas
+    return person._replace(rotations=rotations, scales=scales)
 
 
 def _sights(person: Canonical, body: FittedBody, views: Views, frames: list[int]) -> tuple[Tensor, Tensor]:

@@ -1,4 +1,4 @@
-"""Gaussians that stand out of the surface along a sight are put back, where no other sight holds them."""
+"""Gaussians that stand out of the surface along a sight are put back, and pressed flat where no other sight holds them."""
 
 import pytest
 import torch
@@ -34,35 +34,53 @@ def views() -> Views:
 
 
 @pytest.mark.parametrize("frames", [[0], [0, 2]])
-def test_what_stands_out_where_all_look_from_one_side_goes_back_along_the_sight(pushed, frames):
+def test_what_stands_out_goes_back_along_the_sight(pushed, frames):
     person, where, off, chosen, sights = pushed
     even, moved = depths.snap_to_surface(off, where, views(), frames)
     left = (even.means - person.means)[chosen].norm(dim=1)
     assert left.quantile(0.9) < 0.5 * OUT and left.median() < 2 * depths.OUT
-    assert 0.9 * len(chosen) <= moved <= len(chosen)
+    assert 0.9 * len(chosen) <= moved <= 1.2 * len(chosen)
     shift = (even.means - off.means)[chosen]
     across = shift - (shift * sights[chosen]).sum(1, keepdim=True) * sights[chosen]
     assert across.norm(dim=1).max() < 0.12 * OUT, "to that eye nothing has moved"
-    assert all(a is b for name, a, b in zip(Canonical._fields, even, off, strict=True) if name != "means")
+    same = set(Canonical._fields) - {"means", "rotations", "scales"}
+    assert all(getattr(even, name) is getattr(off, name) for name in same)
 
 
-def test_what_is_seen_from_two_sides_stays(pushed):
-    _, where, off, chosen, _ = pushed
-    even, moved = depths.snap_to_surface(off, where, views(), [0, 1])
-    assert torch.equal(even.means[chosen], off.means[chosen]) and moved < 0.01 * len(off.means)
+def across(person: Canonical, lines: torch.Tensor) -> torch.Tensor:
+    """Sigma [N] along each of the lines [N,3]."""
+    return ((lines[:, None] @ person.rotations)[:, 0] * person.scales).norm(dim=1)
+
+
+@pytest.mark.parametrize(("frames", "flat"), [([0], True), ([0, 1], False)])
+def test_what_is_seen_from_one_side_is_pressed_flat_and_stays_as_wide(pushed, frames, flat):
+    person, where, _, chosen, _ = pushed
+    normals, thick = person.rotations[chosen][..., 2], 4 * depths.FLAT
+    scales, rotations = person.scales.clone(), person.rotations.clone()
+    scales[chosen] = torch.tensor([thick, 0.5 * depths.FLAT, thick])
+    tilt = torch.tensor([[0.6, 0, 0.8], [0, 1, 0], [-0.8, 0, 0.6]])  # no axis lies along the skin's normal
+    rotations[chosen] = rotations[chosen] @ tilt
+    even, _ = depths.snap_to_surface(person._replace(scales=scales, rotations=rotations), where, views(), frames)
+    before, now = (person._replace(scales=scales, rotations=rotations), even)
+    before, now = (Canonical(*(part[chosen] for part in one)) for one in (before, now))
+    sigma = across(now, normals).median()
+    assert sigma == pytest.approx(depths.FLAT if flat else thick, rel=0.1)
+    for axis in (0, 1):  # of the skin
+        line = person.rotations[chosen][..., axis]
+        assert (across(now, line) / across(before, line)).median() == pytest.approx(1, abs=0.05)
+    assert torch.linalg.det(even.rotations).min() > 0.99 and even.scales.min() > 0
 
 
 def test_what_is_seen_edge_on_stays_but_for_dots_far_out(pushed):
     person, where, *_ = pushed
     flank = ((person.rotations[:, 2, 2].abs() < 0.3) & (where.weights[:, [0, 1, 2, 3]].sum(1) > 0.9)).nonzero()[::20, 0]
     outwards = person.rotations[flank][..., 2]
-    for out, left in ((0.7 * depths.PROUD, 0.7 * depths.PROUD), (OUT, depths.PROUD), (-OUT, -OUT)):
+    for out, left in ((0.5 * depths.PROUD, 0.5 * depths.PROUD), (OUT, depths.PROUD), (-OUT, -OUT)):
         means = person.means.clone()
         means[flank] += out * outwards
         even, _ = depths.snap_to_surface(person._replace(means=means), where, views(), [0])
         height = ((even.means - person.means)[flank] * outwards).sum(1)
-        assert torch.equal(even.means[flank], means[flank]) == (out == left)
-        assert (height - left).abs().max() < 0.5 * depths.PROUD
+        assert (height - left).abs().max() < 0.13 * OUT, "as even as the skin is"
 
 
 def test_where_nobody_looks_nothing_moves(pushed):
