@@ -163,7 +163,7 @@ def apart(pose: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def main(run: str, out: str) -> None:
-    """Find the pose of the clip's middle frame and draw it."""
+    """Find the pose of the clip's middle frame; draw the start and what is found beside each other."""
     avatar = hugs.load(run)
     middle = len(avatar.cameras) // 2
     true, camera = avatar.motions["clip"][middle], avatar.cameras[middle]
@@ -171,7 +171,8 @@ def main(run: str, out: str) -> None:
     found = fit(avatar, *drawn(avatar, true, camera), camera, start)
     for name, before, after in zip(BIG, apart(start.body_pose, true.body_pose), apart(found, true.body_pose)):
         print(f"{name:15} {before:4.1f} degrees off, then {after:4.1f}")
-    hugs.write_image(out, drawn(avatar, hugs.Pose(found, true.global_orient, true.transl), camera)[0])
+    poses = start, hugs.Pose(found, true.global_orient, true.transl)
+    hugs.write_image(out, torch.cat([drawn(avatar, pose, camera)[0] for pose in poses], 1))
 
 
 if __name__ == "__main__":

@@ -13,7 +13,14 @@ import hugs
 
 
 def main(clip: str, out: str) -> None:
-    """Write a mask for each picture of a folder, run the pipeline with them, and show some as outlines.png.
+    """Write masks, and run the pipeline with them."""
+    write_masks(clip, out)
+    avatar = hugs.run(clip, masks=out, progress=tell)
+    print(avatar)
+
+
+def write_masks(clip: str, out: str) -> None:
+    """Write a mask for each picture of a folder, and show some as outlines.png.
 
     Whatever finds a person in a picture may take the place of `person_in`.
     """
@@ -23,12 +30,9 @@ def main(clip: str, out: str) -> None:
         picture = cv2.imread(str(file))
         assert picture is not None, f"{file} is no picture"
         found = person_in(picture)
-        cv2.imwrite(str(masks / file.name), np.where(found, 255, 0))  # by the name of its picture; white is the person
+        cv2.imwrite(str(masks / file.name), np.uint8(255) * found)  # by the name of its picture; white is the person
         shown.append(np.where(found[..., None], picture, picture // 4))
     cv2.imwrite("outlines.png", np.concatenate(shown[:: len(shown) // 4 + 1], axis=1))
-
-    avatar = hugs.run(clip, masks=masks, progress=tell)
-    print(avatar)
 
 
 def person_in(picture: np.ndarray) -> np.ndarray:

@@ -144,12 +144,12 @@ def _motion(
     from stages.avatar.drawing.avatar import PosedAvatar
     from stages.avatar.drawing.pixels import to_uint8
     from stages.avatar.motion.moves import made_move
-    from stages.avatar.rasterize import Camera
+    from stages.avatar.rasterize import Camera, Kept
 
     move = made_move(params.motion, ground, soles, params.motion_seconds, params.fps)
     middle = len(clip.names) // 2
     camera = Camera.of(clip.viewmats[middle], clip.Ks[middle], clip.width, clip.height)
     moving = PosedAvatar.of(who.avatar, move.rotvecs[:, :3], move.rotvecs[:, 3:], move.steps)
-    scene = cast._replace(people=[moving], speeds=None)
+    scene, kept = cast._replace(people=[moving], speeds=None), Kept()
     for number in range(len(move.steps)):
-        yield to_uint8(scene.at(number).picture(camera, 0.0 if cast.scene else 1.0)[0])
+        yield to_uint8(scene.at(number).picture(camera, 0.0 if cast.scene else 1.0, kept)[0])

@@ -1,9 +1,7 @@
 """Each example for Python runs on a small clip, and its picture shows what it says."""
 
-import importlib.util
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -12,19 +10,10 @@ import hugs
 from stages.formats.images import read_image
 from stages.records import Effects
 from tests.made import tiny
+from tests.made.examples import EXAMPLES, example
 
-FOLDER = Path(__file__).parents[1] / "examples"
 TESTED = {"pose_and_draw", "camera_path", "fit_pose", "two_people"}
 ELSEWHERE = {"own_masks", "train_on_arrays"}  # test_examples_that_run.py
-
-
-def example(name: str) -> ModuleType:
-    """An example as a module."""
-    found = importlib.util.spec_from_file_location(name, FOLDER / f"{name}.py")
-    assert found and found.loader
-    module = importlib.util.module_from_spec(found)
-    found.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +29,7 @@ def person_in(path: Path) -> np.ndarray:
 
 
 def test_all_examples_are_run_here():
-    assert {path.stem for path in FOLDER.glob("*.py")} == TESTED | ELSEWHERE
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == TESTED | ELSEWHERE
 
 
 def test_pose_and_draw(run, tmp_path, capsys):
@@ -61,6 +50,17 @@ def test_two_people(run, tmp_path):
     one = person_in(run / "sfm" / "images" / f"{tiny.NAMES[4]}.png")
     both = person_in(tmp_path / "two.png")
     assert both[one].mean() > 0.95 and both.sum() > 1.4 * one.sum()
+
+
+def test_the_start_and_what_is_found_are_shown_beside_each_other(run, tmp_path, monkeypatch, capsys):
+    fitting = example("fit_pose")
+    true = hugs.load(run).motions["clip"][4].body_pose
+    monkeypatch.setattr(fitting, "fit", lambda *given: true)  # the next test fits
+    fitting.main(str(run), str(tmp_path / "found.png"))
+    start, found = np.split(read_image(tmp_path / "found.png").astype(int), 2, 1)
+    frame = read_image(run / "sfm" / "images" / f"{tiny.NAMES[4]}.png")
+    assert np.abs(found - frame).max() <= 1 and np.abs(start - frame).mean() > 1
+    assert capsys.readouterr().out.count("20.0 degrees off, then  0.0") == 8
 
 
 def test_a_pose_is_found_in_a_picture_in_another_light_with_a_shadow_that_is_not_drawn(run):

@@ -12,10 +12,9 @@ from hugs_cli import pipelines
 from stages.formats.clip import load_clip
 from stages.training import settings
 from tests.made import handed, tiny
-from tests.made.command import ROOT
+from tests.made.examples import EXAMPLES, write_arrays
 from tests.tools import notebook as notebooks
 
-EXAMPLES = ROOT / "examples"
 SMALL = {"steps": 6, "human_points": 1500, "channels": 8, "resolution": 16, "scene_fill": 0, "curve_points": 1}
 
 
@@ -49,18 +48,7 @@ def test_own_masks(place, monkeypatch, capsys):
 
 @pytest.mark.slow
 def test_train_on_arrays(place, monkeypatch, capsys):
-    clip = load_clip(place / "made/sfm", place / "made/smpl")
-    frames, body = range(tiny.FRAMES), clip.body
-    np.savez(
-        place / "arrays.npz",
-        images=np.stack([clip.images(i) for i in frames]),
-        masks=np.stack([clip.mask(i) > 127 for i in frames]),
-        viewmats=clip.viewmats,
-        Ks=clip.Ks,
-        **{name: getattr(body, name) for name in ("body_pose", "global_orient", "transl")},
-        points=clip.points,
-        colors=clip.colors,
-    )
+    write_arrays(place / "arrays.npz", load_clip(place / "made/sfm", place / "made/smpl"))
     monkeypatch.setattr("hugs.learning.Params", lambda **given: settings.Params(**given | SMALL))
     run(monkeypatch, "train_on_arrays", "arrays.npz", "mine")
     assert "8 frames" in capsys.readouterr().out

@@ -12,7 +12,7 @@ import torch
 from stages.avatar.drawing.cast import Cast, Moment
 from stages.avatar.drawing.pixels import cut_out, to_uint8
 from stages.avatar.effects.frames import FrameEffects
-from stages.avatar.rasterize import Camera
+from stages.avatar.rasterize import Camera, Kept
 from stages.filming.cast import Actor
 from stages.filming.parts import mark
 from stages.filming.setting import Setting
@@ -41,16 +41,16 @@ class Shoot:
         with torch.no_grad():
             return Cast(self.cast, self.setting.splats, self._light, mutual=True).at(number)
 
-    def picture(self, number: int) -> np.ndarray:
-        """A picture, uint8 [H,W,3]: in the scene, or over white."""
+    def picture(self, number: int, kept: Kept | None = None) -> np.ndarray:
+        """A picture, uint8 [H,W,3]: in the scene, or over white; `kept` from the one before."""
         white = 1.0 if self.setting.splats is None else 0.0
-        return to_uint8(self.at(number).picture(self.cameras[number], white)[0])
+        return to_uint8(self.at(number).picture(self.cameras[number], white, kept)[0])
 
-    def people(self, number: int) -> np.ndarray:
+    def people(self, number: int, kept: Kept | None = None) -> np.ndarray:
         """The people of a picture alone, without shadows, uint8 [H,W,4], alpha not multiplied into colour."""
         with torch.no_grad():
             alone = Cast(self.cast, None, FrameEffects(shading=self.setting.shading)).at(number)
-        return cut_out(*alone.picture(self.cameras[number]))
+        return cut_out(*alone.picture(self.cameras[number], kept=kept))
 
     @cached_property
     def _light(self) -> FrameEffects:
@@ -58,7 +58,8 @@ class Shoot:
 
     def pictures(self, numbers: range, alone: bool) -> Iterator[np.ndarray]:
         """Pictures in their order, of the people `alone` or of all."""
-        return map(self.people if alone else self.picture, numbers)
+        shot, kept = self.people if alone else self.picture, Kept()
+        return (shot(number, kept) for number in numbers)
 
     def where(self, seconds: float) -> int:
         """The picture that a second of the film falls on; the last one for all after it."""

@@ -3,7 +3,8 @@
     python -m tests.benchmarks.render work/kitchen/default [--frames 60] [--device cuda] [--json out.json]
 
 The argument is the folder of a pipeline that has run. Poses and cameras are the clip's, pictures stretched to the size, so
-that every pixel has something to show. A frame is skeleton, skinning and drawing, no file.
+that every pixel has something to show; at rest, the camera is that of the middle frame. A frame is skeleton, skinning and drawing,
+no file.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 
 from stages.avatar.drawing.avatar import PosedAvatar
 from stages.avatar.drawing.cast import Cast
-from stages.avatar.rasterize import Camera
+from stages.avatar.rasterize import Camera, Kept
 from tests.benchmarks.host import all_threads, clock, machine, summary, use_threads
 from tests.benchmarks.workloads import finished
 
@@ -34,16 +35,20 @@ def measure(folder: Path, frames: int, device: str) -> list[dict]:
     clip, learned, poses = finished(folder, device)
     order = [i % len(clip.names) for i in range(frames)]
     Ks = [stretched(K, clip.width, clip.height) for K in clip.Ks]
-    scenes = {"person and scene": learned.scene, "person": None} if learned.scene else {"person": None}
+    films = {"person": (None, None)}
+    if learned.scene:
+        films |= {"person and scene": (learned.scene, None), "camera at rest": (learned.scene, len(clip.names) // 2)}
     rows = []
     for threads in sorted({all_threads(), 1}) if device == "cpu" else [all_threads()]:
         use_threads(threads)
-        for name, scene in scenes.items():
+        for name, (scene, rest) in films.items():
+            kept = Kept()
 
-            def frame(i: int, scene=scene) -> None:
+            def frame(i: int, scene=scene, rest=rest, kept=kept) -> None:
                 who = PosedAvatar.of(learned.avatar, *poses[clip.names[i]])
-                camera = Camera.of(clip.viewmats[i], Ks[i], *SIZE)
-                Cast([who], scene, learned.effects).at(0).picture(camera)
+                view = i if rest is None else rest
+                camera = Camera.of(clip.viewmats[view], Ks[view], *SIZE)
+                Cast([who], scene, learned.effects).at(0).picture(camera, kept=kept)
 
             for i in order[:WARM_UP]:
                 frame(i)

@@ -50,3 +50,4 @@ def test_the_front_door_is_small():
     assert sum(words.values()) - words["docs/reference.md"] <= 16_000, "the reference is made from docstrings"
     assert (ROOT / "docs" / "pictures" / "strip.webp").stat().st_size < 2e6
     assert (ROOT / "docs" / "pictures" / "report.webp").stat().st_size < 4e5
+    assert (ROOT / "docs" / "pictures" / "examples.webp").stat().st_size < 1.2e5

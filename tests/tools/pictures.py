@@ -3,7 +3,7 @@
 Three folders `default` of finished runs, as `make table` leaves them in build/table/NAME/CLIP/; the dance is
 FOLDER/motion/jesse_dance.bvh. strip: the pictures at the top of README. report: the top of the kitchen's report. films: four
 moments of two people in the kitchen. dance: the film of docs/films.md, whose YAML is taken from there, and its page. Without a
-NAME all of them are made.
+NAME all of them are made. examples: what `examples/*.py` write, of the kitchen and the courtyard.
 """
 
 from __future__ import annotations
@@ -21,16 +21,18 @@ import numpy as np
 import yaml
 
 import hugs
+from stages.formats.clip import load_clip
 from stages.formats.images import read_image
 from tests.docs.documents import Document
 from tests.made.browser import LOADED
 from tests.made.command import ROOT
 from tests.made.devtools import SOFTWARE, Page
+from tests.made.examples import example, write_arrays
 from tests.tools import gallery, strip
 
 CLIPS = "kitchen", "courtyard", "juggler"
 PLACE = ROOT / "docs" / "pictures"
-TALL, QUALITY = {"films": 518, "dance": 420}, 75  # px, of WebP
+TALL, QUALITY = {"films": 518, "dance": 420, "examples": 240}, 75  # px, of WebP
 WINDOW = 800  # px of the page, in which its controls stand in a line
 BACK, HALL = 1.0, (560, 594)  # m behind the clip's camera, px
 OPEN = "document.body?.matches('.open, .stuck')"
@@ -43,6 +45,15 @@ people:
 camera: still
 """
 MOMENTS = {"films": (0.5, 2.0, 3.0, 4.2), "dance": (1.2, 2.5)}  # s of a film
+MASKED = 10  # every tenth frame gets a mask
+SHOWN = {  # of an example: the function, its arguments, and what is shown of what it writes
+    "pose_and_draw": ("main", ("{kitchen}", "pose.png"), ("pose.png",)),
+    "camera_path": ("main", ("{kitchen}", "path"), ("path/008.png", "path/015.png")),
+    "fit_pose": ("main", ("{kitchen}", "found.png"), ("found.png",)),
+    "two_people": ("main", ("{courtyard}", "{kitchen}", "two.png"), ("two.png",)),
+    "own_masks": ("write_masks", ("some", "masks"), ("outlines.png",)),
+    "train_on_arrays": ("main", ("arrays.npz", "mine"), ("mine/frame.png",)),
+}
 
 
 def main(kitchen: Path, courtyard: Path, juggler: Path, names: Sequence[str]) -> None:
@@ -61,6 +72,7 @@ def main(kitchen: Path, courtyard: Path, juggler: Path, names: Sequence[str]) ->
             "dance": lambda: write(
                 "dance", beside("dance", [*moments(room, "dance", dance(room), page="dance.html"), page(room)])
             ),
+            "examples": lambda: write("examples", beside("examples", examples(room))),
         }
         for name in names or made:
             made[name]()
@@ -98,6 +110,19 @@ def page(room: Path) -> np.ndarray:
     moment = f"hugs.player.set({{position: {MOMENTS['dance'][0]} * hugs.player.motion.fps}})"
     then = f"hugs.player.stage.pace.share = () => 1; {moment}; hugs.player.stage.idle()"
     return screen(room / "dance.html", room, (WINDOW, WINDOW), SOFTWARE, OPEN, then)
+
+
+def examples(room: Path) -> list[np.ndarray]:
+    """What each example writes of the runs in room/work, uint8 [H,W,3]."""
+    runs = {clip: room / "work" / clip / "default" for clip in CLIPS}
+    write_arrays(room / "arrays.npz", load_clip(runs["kitchen"] / "sfm", runs["kitchen"] / "smpl"), share=3)
+    (room / "some").mkdir()
+    for frame in sorted((runs["kitchen"] / "frames" / "images").iterdir())[::MASKED]:
+        (room / "some" / frame.name).symlink_to(frame)
+    with contextlib.chdir(room):
+        for name, (function, arguments, _) in SHOWN.items():
+            getattr(example(name), function)(*(one.format(**runs) for one in arguments))
+    return [read_image(room / path) for *_, paths in SHOWN.values() for path in paths]
 
 
 def screen(page: Path, room: Path, size: tuple[int, int], flags: list[str], until: str, then: str) -> np.ndarray:

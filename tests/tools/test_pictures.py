@@ -1,10 +1,13 @@
-"""The film whose pictures are made is the one that docs/films.md shows; pictures of one row are of one height."""
+"""The film whose pictures are made is the one that docs/films.md shows; every example is shown; a row is of one height."""
+
+from inspect import signature
 
 import numpy as np
 import yaml
 
 from tests.docs.documents import ROOT
-from tests.tools.pictures import CLIPS, TALL, TWO, beside, shown_film
+from tests.made.examples import EXAMPLES, example
+from tests.tools.pictures import CLIPS, SHOWN, TALL, TWO, beside, shown_film
 
 
 def test_the_films_are_of_the_three_clips():
@@ -15,6 +18,13 @@ def test_the_films_are_of_the_three_clips():
     two = yaml.safe_load(TWO)
     assert f"`camera: {two['camera']}`" in caption
     assert f"put {-two['people'][0]['at'][0]} m to his right" in caption
+
+
+def test_every_example_is_shown():
+    assert SHOWN.keys() == {path.stem for path in EXAMPLES.glob("*.py")}
+    for name, (function, arguments, paths) in SHOWN.items():
+        called = signature(getattr(example(name), function)).parameters.values()
+        assert sum(one.default is one.empty for one in called) == len(arguments) and paths
 
 
 def test_a_row_is_of_one_height():

@@ -13,7 +13,7 @@ from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.effects.motion_blur import BlurredRendering
 from stages.avatar.effects.shadow import Casters
 from stages.avatar.effects.speeds import FrameMotion, Speeds
-from stages.avatar.rasterize import Camera, Layer, Rendering
+from stages.avatar.rasterize import Camera, Kept, Layer, Rendering
 from stages.avatar.splats.gaussians import Splats
 
 
@@ -55,10 +55,13 @@ class Moment(NamedTuple):
         return self.effects.draw(list(zip(self.sets, own)), self.motion, camera, layers)
 
     @torch.no_grad()
-    def picture(self, camera: Camera, background: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """Colours [H,W,3] over a grey `background` and coverage [H,W], float32."""
+    def picture(
+        self, camera: Camera, background: float = 0.0, kept: Kept | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Colours [H,W,3] over a grey `background` and coverage [H,W], float32; `kept` is that of a film whose camera may rest."""
         like = next((one.means for one in self.sets), torch.zeros(()))
-        (drawn,) = self.draw(camera.to(like), [Layer(background=torch.full((3,), background).to(like))])
+        ground = torch.full((3,), background).to(like)
+        (drawn,) = self.draw(camera.to(like), [Layer(background=ground, kept=kept)])
         return drawn.image.cpu().numpy(), drawn.alpha.cpu().numpy()
 
 

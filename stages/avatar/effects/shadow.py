@@ -19,6 +19,7 @@ REACH = 3.0  # standard deviations beyond which a bone casts nothing
 LEAST = 1e-6  # share of the vertices under which a bone casts nothing
 ABOVE = 0.05  # m: width of the sigmoid that tells before from behind
 ZERO, HALF, ONE, STEEP = np.float32(0), np.float32(0.5), np.float32(1), np.float32(1 / ABOVE)
+BEHIND = np.float32(17)  # widths of the sigmoid behind a part, at which it is 1 in float32
 FAR = np.float32(40)  # squared standard deviations from a part, at which it takes a billionth
 
 
@@ -99,7 +100,9 @@ def _thicken(
                     dx, dy, dz = middles[k, j, 0] - x, middles[k, j, 1] - y, middles[k, j, 2] - z
                     away = shapes[k, j, 0] * dx * dx + shapes[k, j, 1] * dx * dy + shapes[k, j, 2] * dy * dy
                     if density[k, j] > ZERO and away < FAR:
-                        thick += density[k, j] * np.exp(-HALF * away) / (ONE + np.exp(-dz * STEEP))
+                        behind = dz * STEEP
+                        whole = ONE if behind > BEHIND else ONE + np.exp(-behind)
+                        thick += density[k, j] * np.exp(-HALF * away) / whole
         total[i] = thick
 
 

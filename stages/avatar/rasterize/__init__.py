@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from stages.avatar.rasterize import cpu, cuda, reference
-from stages.avatar.rasterize.rendering import NEAR, Camera, Gaussians, Layer, Rendering
+from stages.avatar.rasterize import again, cpu, cuda, reference
+from stages.avatar.rasterize.rendering import NEAR, Camera, Gaussians, Kept, Layer, Rendering
 
-__all__ = ["Camera", "Gaussians", "Layer", "Rendering", "gaussian_axes", "rasterize"]
+__all__ = ["Camera", "Gaussians", "Kept", "Layer", "Rendering", "gaussian_axes", "rasterize"]
 
 
 def gaussian_axes(quats: Tensor, scales: Tensor) -> Tensor:
@@ -32,8 +32,10 @@ def rasterize(
     for name, part in (("viewmat", camera.viewmat), ("K", camera.K)):
         if not part.detach().isfinite().all():
             raise ValueError(f"the camera's {name} has numbers that are not finite: {part.tolist()}")
-    means = gaussians.means
+    means, kept = gaussians.means, layers[0].kept if len(layers) == 1 else None
     maker = {"cpu": cpu, "cuda": cuda}.get(means.device.type, reference) if means.dtype == torch.float32 else reference
+    if maker is cpu and kept is not None:
+        return [again.redraw(gaussians, camera, layers[0], near, kept)]
     return maker.rasterize(gaussians, camera if maker is reference else _through_viewmat(camera), layers, near)
 
 

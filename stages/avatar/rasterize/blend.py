@@ -41,12 +41,21 @@ IN_X = np.tile(np.arange(BLOCK, dtype=np.float32) + np.float32(0.5), BLOCK)
 IN_Y = np.repeat(np.arange(BLOCK, dtype=np.float32) + np.float32(0.5), BLOCK)
 ZERO, ONE = np.float32(0), np.float32(1)
 NEVER, NOWHERE = np.int32(2**31 - 1), np.int32(-1)  # where a pixel ended: not at all; outside of the picture
+ALL = np.uint64(2**64 - 1)  # blocks of a tile
 TWICE = np.float32(2 / LOG2E)
 
 
 @njit(cache=True)
-def _draw_tile(start, end, rows, masks, records, left, top, inside, stop, state, stops, in_x, in_y):
-    """Blend one tile front to back into state [5,1024] (T, red, green, blue, depth) and stops [1024].
+def _lines(numbers):
+    """Uninitialised float32 [numbers] that begin on a cache line: a vector that lies on two takes twice as long."""
+    raw = np.empty(numbers + LANES, np.float32)
+    start = -(raw.ctypes.data // 4) % LANES
+    return raw[start : start + numbers]
+
+
+@njit(cache=True)
+def _draw_tile(start, end, rows, masks, records, left, top, inside, wanted, stop, state, stops, in_x, in_y):
+    """Blend the `wanted` blocks of one tile front to back into state [5,1024] (T, red, green, blue, depth) and stops [1024].
 
     `left` and `top` are px of the whole picture; `inside` = (width, height) px is the part of the tile that is drawn.
     A pixel ends when less than `stop` of the light would pass.
@@ -60,6 +69,7 @@ def _draw_tile(start, end, rows, masks, records, left, top, inside, stop, state,
             drawn = x + lane % BLOCK < inside[0] and y + lane // BLOCK < inside[1]
             state[block * LANES + lane] = ONE if drawn else -ONE
             stops[block * LANES + lane] = NEVER if drawn else NOWHERE
+    live &= wanted
     state[AREA:] = ZERO
     inner_x, inner_y = load(in_x, 0), load(in_y, 0)
     for k in range(start, end):
@@ -110,9 +120,9 @@ def _draw_tile(start, end, rows, masks, records, left, top, inside, stop, state,
 
 @njit(cache=True, parallel=True)
 def draw(
-    starts, rows, masks, records, window, background, threads, in_x, in_y, stop, image, alpha, depth, finals, stops
-):
-    """Blend all tiles of a window (left, top, right, bottom) px of the picture.
+    starts, rows, masks, records, window, background, threads, in_x, in_y, wanted, stop, image, alpha, depth, finals, stops
+):  # fmt: skip
+    """Blend the blocks that are `wanted` [tiles], one a bit, of a window (left, top, right, bottom) px of the picture.
 
     Fills image [H,W,3] over background [3], alpha and depth [H,W] of the window; finals (T) and stops [tiles,1024].
     """
@@ -120,8 +130,10 @@ def draw(
     across = (width + TILE - 1) // TILE
     tiles = len(starts) - 1
     for thread in prange(threads):
-        state = np.empty(5 * AREA, np.float32)
+        state = _lines(5 * AREA)
         for tile in range(thread, tiles, threads):
+            if wanted[tile] == np.uint64(0):
+                continue
             left, top = tile % across * TILE, tile // across * TILE
             inside = min(width - left, TILE), min(height - top, TILE)
             _draw_tile(
@@ -133,6 +145,7 @@ def draw(
                 window[0] + left,
                 window[1] + top,
                 inside,
+                wanted[tile],
                 stop,
                 state,
                 stops[tile],
@@ -141,15 +154,21 @@ def draw(
             )
             for at in range(AREA):
                 finals[tile, at] = abs(state[at])
-            for y in range(inside[1]):
-                for x in range(inside[0]):
-                    at = ((y >> 2) * ACROSS + (x >> 2)) * LANES + ((y & 3) << 2) + (x & 3)
-                    light = finals[tile, at]
-                    image[top + y, left + x, 0] = state[AREA + at] + light * background[0]
-                    image[top + y, left + x, 1] = state[2 * AREA + at] + light * background[1]
-                    image[top + y, left + x, 2] = state[3 * AREA + at] + light * background[2]
-                    alpha[top + y, left + x] = ONE - light
-                    depth[top + y, left + x] = state[4 * AREA + at]
+            bits = wanted[tile]
+            while bits != np.uint64(0):
+                block = count_trailing_zeros(bits)
+                bits &= bits - np.uint64(1)
+                x, y = BLOCK * (block & (ACROSS - 1)), BLOCK * (block >> 3)
+                for lane in range(LANES):
+                    column, row = x + (lane & 3), y + (lane >> 2)
+                    if column < inside[0] and row < inside[1]:
+                        at = block * LANES + lane
+                        light = finals[tile, at]
+                        image[top + row, left + column, 0] = state[AREA + at] + light * background[0]
+                        image[top + row, left + column, 1] = state[2 * AREA + at] + light * background[1]
+                        image[top + row, left + column, 2] = state[3 * AREA + at] + light * background[2]
+                        alpha[top + row, left + column] = ONE - light
+                        depth[top + row, left + column] = state[4 * AREA + at]
 
 
 @njit(cache=True)
@@ -233,7 +252,7 @@ def draw_backward(
     across = (width + TILE - 1) // TILE
     tiles = len(starts) - 1
     for thread in prange(threads):
-        state, deepest = np.empty(6 * AREA, np.float32), np.empty(BLOCKS, np.int32)
+        state, deepest = _lines(6 * AREA), np.empty(BLOCKS, np.int32)
         for tile in range(thread, tiles, threads):
             if starts[tile] == starts[tile + 1]:
                 continue

@@ -17,11 +17,12 @@ from stages.avatar.rasterize.tiles import tile_lists
 CHUNKS = 16  # ranges of rows in passes over Gaussians: fixed, so that results do not depend on the thread count
 
 
-def _array(tensor: Tensor, dtype: type = np.float32) -> np.ndarray:
+def as_array(tensor: Tensor, dtype: type = np.float32) -> np.ndarray:
+    """A tensor's numbers, contiguous, without a copy where they are."""
     return np.ascontiguousarray(tensor.detach().numpy(), dtype)
 
 
-def _rows(n: int) -> np.ndarray:
+def empty_records(n: int) -> np.ndarray:
     """Uninitialised float32 [n,16], each row on one cache line."""
     raw = np.empty(n * kernels.ROW + 16, np.float32)
     start = -raw.ctypes.data % 64 // 4
@@ -50,10 +51,10 @@ class _Rasterize(torch.autograd.Function):
         *backgrounds: Tensor | None,
     ) -> tuple[Tensor, ...]:
         _, K, width, height = camera
-        arrays = [_array(t) for t in (means, axes, opacities, colors)]
-        view, intrinsics = _array(viewmat, np.float64), _array(K, np.float64)
+        arrays = [as_array(t) for t in (means, axes, opacities, colors)]
+        view, intrinsics = as_array(viewmat, np.float64), as_array(K, np.float64)
         n, threads = len(means), torch.get_num_threads()
-        records, means2d, radii = _rows(n), np.empty((n, 2), np.float32), np.empty(n, np.float32)
+        records, means2d, radii = empty_records(n), np.empty((n, 2), np.float32), np.empty(n, np.float32)
         dropped = kernels.project(
             *arrays, view, intrinsics, width, height, antialias, near, CHUNKS, records, means2d, radii
         )
@@ -64,12 +65,12 @@ class _Rasterize(torch.autograd.Function):
             window = left, top, right, bottom
             some = order if layer.rows is None else order[layer.rows.numpy()[order]]
             starts, rows, masks = tile_lists(some, records.reshape(-1), window, CHUNKS)
-            ground = np.zeros(3, np.float32) if background is None else _array(background)
+            ground = np.zeros(3, np.float32) if background is None else as_array(background)
             shape = bottom - top, right - left
             image, alpha, depth = (np.empty((*shape, *rest), np.float32) for rest in ((3,), (), ()))
             finals, stops = (np.empty((len(starts) - 1, blend.AREA), kind) for kind in (np.float32, np.int32))
             place = (starts, rows, masks, records.reshape(-1), window, ground, threads, blend.IN_X, blend.IN_Y)
-            blend.draw(*place, np.float32(T_STOP), image, alpha, depth, finals, stops)
+            blend.draw(*place, np.full(len(finals), blend.ALL), np.float32(T_STOP), image, alpha, depth, finals, stops)
             kept.append((place, finals, stops, alpha))
             pictures += [torch.from_numpy(t) for t in (image, alpha, depth)]
         ctx.kept = (*arrays[:3], view, intrinsics, width, height, antialias), radii, kept
@@ -84,7 +85,7 @@ class _Rasterize(torch.autograd.Function):
     def backward(ctx: Any, *upstream: Tensor | None) -> tuple[Tensor | None, ...]:
         parts, radii, kept = ctx.kept
         n, threads = len(radii), kept[0][0][6]
-        sums = _rows(threads * n).reshape(threads, n * kernels.ROW)
+        sums = empty_records(threads * n).reshape(threads, n * kernels.ROW)
         kernels.clear(sums)
         d_backgrounds = []
         for number, (place, finals, stops, alpha) in enumerate(kept):
@@ -92,7 +93,7 @@ class _Rasterize(torch.autograd.Function):
             d_background = None
             if any(v is not None for v in arrived):
                 shapes = ((*alpha.shape, 3), alpha.shape, alpha.shape)
-                arrays = [np.zeros(s, np.float32) if v is None else _array(v) for s, v in zip(shapes, arrived)]
+                arrays = [np.zeros(s, np.float32) if v is None else as_array(v) for s, v in zip(shapes, arrived)]
                 blend.draw_backward(*place, finals, stops, *arrays, number, sums)
                 if ctx.needs_input_grad[10 + number]:
                     light = np.einsum("hw,hwc->c", 1 - alpha, arrays[0], dtype=np.float64)
@@ -134,7 +135,7 @@ def rasterize(
 class _Axes(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, quats: Tensor, scales: Tensor) -> Tensor:
-        arrays = _array(quats), _array(scales)
+        arrays = as_array(quats), as_array(scales)
         axes = np.empty((len(quats), 3, 3), np.float32)
         kernels.axes_forward(*arrays, CHUNKS, axes)
         ctx.kept = *arrays, axes
@@ -145,7 +146,7 @@ class _Axes(torch.autograd.Function):
     def backward(ctx: Any, d_axes: Tensor) -> tuple[Tensor, Tensor]:
         quats, scales, axes = ctx.kept
         d_quats, d_scales = np.empty_like(quats), np.empty_like(scales)
-        kernels.axes_backward(quats, scales, axes, _array(d_axes), CHUNKS, d_quats, d_scales)
+        kernels.axes_backward(quats, scales, axes, as_array(d_axes), CHUNKS, d_quats, d_scales)
         return torch.from_numpy(d_quats), torch.from_numpy(d_scales)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -73,14 +73,23 @@ class Camera(NamedTuple):
         return self._replace(viewmat=self.viewmat.to(like), K=self.K.to(like))
 
 
+class Kept:
+    """What a film's last picture leaves for its next: with it a CPU draws again only the blocks of 4x4 px that change."""
+
+    state: Any = None
+
+
 class Layer(NamedTuple):
     """One picture of a call: which Gaussians (rows[N] bool, None = all), which window of the camera's picture
     (left, top, right, bottom) px (None = all of it), and over which background[3] (None = black).
+
+    `kept` is of the only layer of a call, without rows, window and gradients; colours are then off by half a grey step at most.
     """
 
     rows: Tensor | None = None
     window: tuple[int, int, int, int] | None = None
     background: Tensor | None = None
+    kept: Kept | None = None
 
 
 @dataclass

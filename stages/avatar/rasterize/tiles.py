@@ -76,7 +76,9 @@ def _tile_range(middle, reach, tiles):
 
 @njit(cache=True, parallel=True)
 def _walk(order, records, left, top, width, height, bands, counts, writing, rows, masks):
-    """Count the Gaussians of each tile into counts [chunks,tiles], or write them where `counts` says."""
+    """Count the Gaussians whose rectangle touches each tile into counts [chunks,tiles], or write those that reach a block of it
+    where `counts` says.
+    """
     across, deep = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
     chunks, n = len(counts), len(order)
     for job in prange(chunks):
@@ -87,22 +89,20 @@ def _walk(order, records, left, top, width, height, bands, counts, writing, rows
             x, y = peek(records, at + X) - np.float32(left), peek(records, at + Y) - np.float32(top)
             first_column, last_column = _tile_range(x, peek(records, at + REACH_X), across)
             first_row, last_row = _tile_range(y, peek(records, at + REACH_Y), deep)
-            alone = first_column == last_column and first_row == last_row
-            if alone and not writing:  # most of them; whether a block is reached can wait
-                counts[chunk, first_row * across + first_column] += 1
-                continue
             for row in range(first_row, last_row + 1):
+                if not writing:  # a place too many costs less than the ends of eight bands
+                    for column in range(first_column, last_column + 1):
+                        counts[chunk, row * across + column] += 1
+                    continue
                 first, last = _blocks(records, at, left, top + TILE * row, width, bands)
                 for column in range(first_column, last_column + 1):
                     shift = np.float32(ACROSS * column)
                     bits = bits_between(first - shift, last - shift)
-                    if bits == np.uint64(0) and not alone:
-                        continue
-                    tile = row * across + column
-                    if writing:
+                    if bits != np.uint64(0):
+                        tile = row * across + column
                         rows[counts[chunk, tile]] = order[k]
                         masks[counts[chunk, tile]] = bits
-                    counts[chunk, tile] += 1
+                        counts[chunk, tile] += 1
 
 
 def tile_lists(
@@ -111,7 +111,7 @@ def tile_lists(
     """What each tile of a window (left, top, right, bottom) px has to blend: (starts [tiles+1], rows, masks).
 
     `order` lists Gaussians, nearest first, and records [N*16] is flat. Bit `8 row + column` of a mask stands for a block.
-    Rows and masks run on a little beyond the last entry, so that a reader may look ahead.
+    Places that nobody took have masks of 0. Rows and masks run on a little beyond the last entry, so that a reader may look ahead.
     """
     left, top, right, bottom = window
     tiles = math.ceil((right - left) / TILE) * math.ceil((bottom - top) / TILE)

@@ -67,6 +67,15 @@ def test_whatever_is_otherwise_in_a_picture_is_otherwise_in_its_digest(shoot):
         assert name == "antialiased" or not np.array_equal(one.picture(1), drawn), f"{name}: it shows"
 
 
+def test_a_film_is_its_pictures_to_a_grey_step(shoot):
+    for alone, one in ((False, shoot.picture), (True, shoot.people)):
+        film = list(shoot.pictures(range(4), alone))
+        for number, drawn in enumerate(film):
+            off = np.abs(drawn.astype(int) - one(number))
+            assert off.max() <= 1 and (off > 0).mean() < 0.1
+        assert (film[0] != film[2]).any()
+
+
 def test_hands_and_a_face_are_in_the_digest(shoot):
     """Of the pictures that show them, not of others."""
     still = np.zeros((99, 2, 15, 3)), np.zeros((99, 52))
