@@ -344,9 +344,23 @@ MUTANTS = (
     Mutant(
         "snapping: dots beside an outline",
         "stages/training/finishing/depths.py",
-        "back += torch.where(proud, off - PROUD, 0)[:, None] * normals",
+        "back += torch.where(proud, out, 0)[:, None] * normals",
         "back += 0 * normals",
         "tests/stages/training/finishing/test_depths.py::what_is_seen_edge_on_stays_but_for_dots_far_out",
+    ),
+    Mutant(
+        "snapping: hems that are worn down",
+        "stages/training/finishing/depths.py",
+        "level.median(1).values",
+        "around.median(1).values",
+        "tests/stages/training/finishing/test_depths.py::seen_from_more_sides_a_step_stays_and_what_is_alone_goes_back",
+    ),
+    Mutant(
+        "snapping: hairs across the skin",
+        "stages/training/finishing/depths.py",
+        "pressed = which & (less > 0)",
+        "pressed = which & (less > 2)",
+        "tests/stages/training/finishing/test_depths.py::what_is_seen_from_one_side_is_pressed_flat_and_stays_as_wide",
     ),
     Mutant(
         "masks: a doubt that is a hole",

@@ -11,11 +11,11 @@ from stages.avatar.splats.neighbours import nearest, shares_near
 from stages.training.views import FittedBody, Views, person_frames
 
 UNDER = 4  # points of the surface that tell where it is
-AROUND = 24  # neighbours over the skin whose middle height is that of the surface
-OUT = 0.001  # metres from it that a Gaussian may stand out, along the sight
+AROUND = 24  # neighbours over the skin whose middle height is that of the surface, where one side is seen
+LEVEL = 8  # of them, those of the most similar height, where more is seen: a hem is a step in the surface
+ONE_SIDE = 0.8  # least share of the main sight in all: frames that look from elsewhere, too, tell depth and thickness
+OUT, TOLD = 0.001, 0.004  # metres that a Gaussian may stand out, seen from ONE_SIDE, and from more
 FACING = 0.5  # least cosine between sight and skin: what is seen edge-on is held by outlines. With 0.3 it costs 0.2 dB
-PROUD = 0.002  # metres from it that one may stand out that is seen edge-on: beyond is a dot beside the outline of other poses
-ONE_SIDE = 0.8  # least share of the main sight in all: frames that look from elsewhere, too, tell how thick one is
 FLAT = 0.0025  # metres across the skin, sigma: a thicker one is a hair at the outline, seen aslant. With 1.5 mm it costs 0.2 dB
 
 
@@ -24,7 +24,7 @@ def snap_to_surface(person: Canonical, body: FittedBody, views: Views, frames: l
     """Move Gaussians that stand out of the canonical person's surface back along the sights of `frames`; also how many.
 
     Those frames see no change; from the side it was a dot off the outline. Along the normal of the skin the same move costs ten
-    times as much: only what is PROUD and seen edge-on goes so. What frames show from ONE_SIDE is pressed FLAT.
+    times as much: only what is proud and seen edge-on goes so. What frames show from ONE_SIDE is pressed FLAT.
     """
     surface, outwards, _ = body.surface()
     under, shares = shares_near(surface, person.means, UNDER)
@@ -32,15 +32,17 @@ def snap_to_surface(person: Canonical, body: FittedBody, views: Views, frames: l
     normals = F.normalize((share * outwards[under]).sum(1), dim=1)
     height = ((person.means - (share * surface[under]).sum(1)) * normals).sum(1)
     foot = person.means - height[:, None] * normals
-    off = height - height[nearest(foot, foot, AROUND + 1)[1][:, 1:]].median(1).values
+    around = height[nearest(foot, foot, AROUND + 1)[1][:, 1:]]
+    level = around.gather(1, (around - height[:, None]).abs().topk(LEVEL, largest=False).indices)
     sights, alike = _sights(person, body, views, frames)
     facing = (sights * normals).sum(1)
-    seen, faces = alike > 0, facing.abs() > FACING
-    moved, proud = seen & faces & (off.abs() > OUT), seen & ~faces & (off > PROUD)
-    back = torch.where(moved, (off - off.clamp(-OUT, OUT)) / facing, 0)[:, None] * sights
-    back += torch.where(proud, off - PROUD, 0)[:, None] * normals
-    person = _flat(person._replace(means=person.means - back), normals, alike > ONE_SIDE)
-    return person, int((moved | proud).sum())
+    seen, faces, one_side = alike > 0, facing.abs() > FACING, alike > ONE_SIDE
+    off = height - torch.where(one_side, around.median(1).values, level.median(1).values)
+    out = off.abs() - torch.where(one_side, OUT, TOLD)
+    moved, proud = seen & faces & (out > 0), seen & ~faces & (out > 0) & (off > 0)
+    back = torch.where(moved, out * off.sign() / facing, 0)[:, None] * sights
+    back += torch.where(proud, out, 0)[:, None] * normals
+    return _flat(person._replace(means=person.means - back), normals, one_side), int((moved | proud).sum())
 
 
 def _flat(person: Canonical, normals: Tensor, which: Tensor) -> Canonical:

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from stages.avatar.model.person import Canonical
+from stages.avatar.splats.neighbours import nearest
 from stages.training.finishing import depths
 from stages.training.views import Views
 from tests.made.standing import around, stand
@@ -47,6 +48,20 @@ def test_what_stands_out_goes_back_along_the_sight(pushed, frames):
     assert all(getattr(even, name) is getattr(off, name) for name in same)
 
 
+def test_seen_from_more_sides_a_step_stays_and_what_is_alone_goes_back(pushed):
+    person, where, _, _, sights = pushed
+    outwards = person.rotations[..., 2]
+    front = ((outwards * sights).sum(1) > 0.8) & (where.weights[:, [0, 3, 6, 9]].sum(1) > 0.8)
+    alone = front.nonzero()[::30, 0]
+    steps = nearest(person.means, person.means[alone], depths.LEVEL + 2)[1]  # fewer than half of those around
+    for rows, left in ((alone, depths.TOLD), (steps.flatten(), OUT)):
+        means = person.means.clone()
+        means[rows] = person.means[rows] + OUT * outwards[rows]
+        even, _ = depths.snap_to_surface(person._replace(means=means), where, views(), [0, 1, 2])
+        height = ((even.means - person.means)[alone] * outwards[alone]).sum(1)
+        assert height.median() == pytest.approx(left, abs=0.1 * OUT)
+
+
 def across(person: Canonical, lines: torch.Tensor) -> torch.Tensor:
     """Sigma [N] along each of the lines [N,3]."""
     return ((lines[:, None] @ person.rotations)[:, 0] * person.scales).norm(dim=1)
@@ -75,7 +90,7 @@ def test_what_is_seen_edge_on_stays_but_for_dots_far_out(pushed):
     person, where, *_ = pushed
     flank = ((person.rotations[:, 2, 2].abs() < 0.3) & (where.weights[:, [0, 1, 2, 3]].sum(1) > 0.9)).nonzero()[::20, 0]
     outwards = person.rotations[flank][..., 2]
-    for out, left in ((0.5 * depths.PROUD, 0.5 * depths.PROUD), (OUT, depths.PROUD), (-OUT, -OUT)):
+    for out, left in ((0.5 * depths.OUT, 0.5 * depths.OUT), (OUT, depths.OUT), (-OUT, -OUT)):
         means = person.means.clone()
         means[flank] += out * outwards
         even, _ = depths.snap_to_surface(person._replace(means=means), where, views(), [0])
