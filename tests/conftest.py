@@ -17,8 +17,8 @@ if "PYTEST_XDIST_WORKER" in os.environ:  # several tests at a time: the processo
 CLIPS = "HUGS_CLIPS"  # the environment variable that names the folder of real clips
 FIRST = (
     ("tests/test_end_to_end.py",),
-    ("tests/hugs_cli/", "tests/docs/", "tests/tools/"),
-    ("tests/test_", "tests/stages/filming/test_page.py"),
+    ("tests/hugs_cli/", "tests/tools/"),
+    ("tests/docs/", "tests/test_", "tests/stages/filming/test_page.py"),
 )
 """What is tested first, in this order: slow files, lest a worker is left alone with one at the end. The first compiles the kernels;
 the next need none, and the other worker compiles nothing a second time."""

@@ -66,8 +66,12 @@ def drawn(monkeypatch):
     """Counts the pictures that are drawn."""
     numbers: list[int] = []
     whole, alone = Shoot.picture, Shoot.people
-    monkeypatch.setattr(Shoot, "picture", lambda self, number: numbers.append(number) or whole(self, number))
-    monkeypatch.setattr(Shoot, "people", lambda self, number: numbers.append(number) or alone(self, number))
+    monkeypatch.setattr(
+        Shoot, "picture", lambda self, number, *kept: numbers.append(number) or whole(self, number, *kept)
+    )
+    monkeypatch.setattr(
+        Shoot, "people", lambda self, number, *kept: numbers.append(number) or alone(self, number, *kept)
+    )
     return numbers
 
 
@@ -215,10 +219,10 @@ def test_a_film_that_was_cut_short_goes_on_where_it_was(made, hugs, drawn, monke
     film = write(made, "long.yaml", "film: long.mp4", ("seconds: 1.5", "seconds: 3"))
     picture = Shoot.picture
 
-    def stop(self, number):
+    def stop(self, number, *kept):
         if number == 10:
             raise OSError(28, "No space left on device")
-        return picture(self, number)
+        return picture(self, number, *kept)
 
     with monkeypatch.context() as patch:
         patch.setattr(Shoot, "picture", stop)

@@ -33,7 +33,7 @@ def snap_to_surface(person: Canonical, body: FittedBody, views: Views, frames: l
     height = ((person.means - (share * surface[under]).sum(1)) * normals).sum(1)
     foot = person.means - height[:, None] * normals
     around = height[nearest(foot, foot, AROUND + 1)[1][:, 1:]]
-    level = around.gather(1, (around - height[:, None]).abs().topk(LEVEL, largest=False).indices)
+    level = around.gather(1, (around - height[:, None]).abs().topk(min(LEVEL, around.shape[1]), largest=False).indices)
     sights, alike = _sights(person, body, views, frames)
     facing = (sights * normals).sum(1)
     seen, faces, one_side = alike > 0, facing.abs() > FACING, alike > ONE_SIDE
