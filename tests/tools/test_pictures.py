@@ -17,7 +17,7 @@ def test_the_films_are_of_the_three_clips():
     caption = (ROOT / "docs" / "films.md").read_text()
     two = yaml.safe_load(TWO)
     assert f"`camera: {two['camera']}`" in caption
-    assert f"placed {-two['people'][0]['at'][0]} m to his right" in caption
+    assert f"moved {-two['people'][0]['at'][0]} m to his right" in caption
 
 
 def test_every_example_is_shown():
