@@ -12,7 +12,7 @@ from stages.avatar.body.skinning import of_few_bones
 from stages.avatar.model.person import Canonical
 from stages.avatar.splats.gaussians import finite_rows
 from stages.avatar.splats.neighbours import median_near, nearest
-from stages.training.finishing.depths import snap_to_surface
+from stages.training.finishing.depths import FLAT, snap_to_surface
 from stages.training.finishing.lining import add_lining
 from stages.training.finishing.painted import count_pixels
 from stages.training.finishing.reskin import reskin
@@ -54,6 +54,7 @@ COUNTED = {
     "strays": "left out that strayed from the body or float beside it",
     "recolored": "that no frame shows well take the colours seen around them",
     "snapped": "put back that stood out of the surface",
+    "flattened": f"thinned to {1000 * FLAT:g} mm across the skin where frames look from one side only",
     "shortened": f"cut to {SHORT:g} times the length that they began with",
     "lining": "",
     "unseen": "of the person that no frame shows have the place and shape of the body",
@@ -83,14 +84,14 @@ def finish(person: Canonical, begun: Canonical, body: FittedBody, views: Views, 
         stray[~stray] = floating(Canonical(*(part[~stray] for part in kept)), body)
     if stray.all():
         raise ValueError(f"none of {len(person.means):,} Gaussians is finite and on the body")
-    kept, snapped = snap_to_surface(Canonical(*(part[~stray] for part in kept)), body, views, frames)
+    kept, evened = snap_to_surface(Canonical(*(part[~stray] for part in kept)), body, views, frames)
     kept, shortened = shorten(kept, SHORT * length[~stray])
     kept, known = recolor(kept, body, views, frames)
     done = add_lining(kept, body, views, frames)
     if body.clothing is not None:  # cloth shares far more bones than glTF carries
         done = done._replace(weights=of_few_bones(done.weights))
     lining = len(done.means) - len(kept.means)
-    counts = {"reskinned": reskinned, "broken": int((~whole).sum()), "strays": int(stray.sum()), "snapped": snapped}
+    counts = {"reskinned": reskinned, "broken": int((~whole).sum()), "strays": int(stray.sum())} | evened
     counts |= {"shortened": shortened, "recolored": int((known.own < 0.5).sum()), "lining": lining}
     known = Known(*(torch.cat([part, part.new_zeros(lining, *part.shape[1:])]) for part in known))
     return Finished(done, known, Counter(counts))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -20,11 +22,14 @@ FLAT = 0.0025  # metres across the skin, sigma: a thicker one is a hair at the o
 
 
 @torch.no_grad()
-def snap_to_surface(person: Canonical, body: FittedBody, views: Views, frames: list[int]) -> tuple[Canonical, int]:
-    """Move Gaussians that stand out of the canonical person's surface back along the sights of `frames`; also how many.
+def snap_to_surface(
+    person: Canonical, body: FittedBody, views: Views, frames: list[int]
+) -> tuple[Canonical, Counter[str]]:
+    """Move Gaussians that stand out of the canonical person's surface back along the sights of `frames`; how many `snapped`.
 
     Those frames see no change; from the side it was a dot off the outline. Along the normal of the skin the same move costs ten
-    times as much: only what is proud and seen edge-on goes so. What frames show from ONE_SIDE is pressed FLAT.
+    times as much: only what is proud and seen edge-on goes so. What frames show from ONE_SIDE is pressed FLAT; how many are
+    `flattened`.
     """
     surface, outwards, _ = body.surface()
     under, shares = shares_near(surface, person.means, UNDER)
@@ -42,11 +47,14 @@ def snap_to_surface(person: Canonical, body: FittedBody, views: Views, frames: l
     moved, proud = seen & faces & (out > 0), seen & ~faces & (out > 0) & (off > 0)
     back = torch.where(moved, out * off.sign() / facing, 0)[:, None] * sights
     back += torch.where(proud, out, 0)[:, None] * normals
-    return _flat(person._replace(means=person.means - back), normals, one_side), int((moved | proud).sum())
+    person, pressed = _flat(person._replace(means=person.means - back), normals, one_side)
+    return person, Counter(snapped=int((moved | proud).sum()), flattened=pressed)
 
 
-def _flat(person: Canonical, normals: Tensor, which: Tensor) -> Canonical:
-    """The person, of whom those Gaussians [N] are no thicker than FLAT along normals[N,3], and as wide as before across them."""
+def _flat(person: Canonical, normals: Tensor, which: Tensor) -> tuple[Canonical, int]:
+    """The person, of whom those Gaussians [N] are no thicker than FLAT along normals[N,3], and as wide as before across them; also
+    how many were thicker.
+    """
     axes = person.rotations * person.scales[:, None, :]
     along = (normals[:, None] @ axes)[:, 0]
     less = (1 - FLAT / along.norm(dim=1).clamp_min(1e-12)).clamp_min(0)
@@ -56,7 +64,7 @@ def _flat(person: Canonical, normals: Tensor, which: Tensor) -> Canonical:
     rotations, scales = person.rotations.clone(), person.scales.clone()
     rotations[pressed] = turns * torch.linalg.det(turns)[:, None, None].sign()
     scales[pressed] = sigmas
-    return person._replace(rotations=rotations, scales=scales)
+    return person._replace(rotations=rotations, scales=scales), int(pressed.sum())
 
 
 def _sights(person: Canonical, body: FittedBody, views: Views, frames: list[int]) -> tuple[Tensor, Tensor]:

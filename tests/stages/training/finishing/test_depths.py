@@ -37,10 +37,10 @@ def views() -> Views:
 @pytest.mark.parametrize("frames", [[0], [0, 2]])
 def test_what_stands_out_goes_back_along_the_sight(pushed, frames):
     person, where, off, chosen, sights = pushed
-    even, moved = depths.snap_to_surface(off, where, views(), frames)
+    even, counts = depths.snap_to_surface(off, where, views(), frames)
     left = (even.means - person.means)[chosen].norm(dim=1)
     assert left.quantile(0.9) < 0.5 * OUT and left.median() < 2 * depths.OUT
-    assert 0.9 * len(chosen) <= moved <= 1.2 * len(chosen)
+    assert 0.9 * len(chosen) <= counts["snapped"] <= 1.2 * len(chosen)
     shift = (even.means - off.means)[chosen]
     across = shift - (shift * sights[chosen]).sum(1, keepdim=True) * sights[chosen]
     assert across.norm(dim=1).max() < 0.12 * OUT, "to that eye nothing has moved"
@@ -75,7 +75,8 @@ def test_what_is_seen_from_one_side_is_pressed_flat_and_stays_as_wide(pushed, fr
     scales[chosen] = torch.tensor([thick, 0.5 * depths.FLAT, thick])
     tilt = torch.tensor([[0.6, 0, 0.8], [0, 1, 0], [-0.8, 0, 0.6]])  # no axis lies along the skin's normal
     rotations[chosen] = rotations[chosen] @ tilt
-    even, _ = depths.snap_to_surface(person._replace(scales=scales, rotations=rotations), where, views(), frames)
+    even, counts = depths.snap_to_surface(person._replace(scales=scales, rotations=rotations), where, views(), frames)
+    assert (counts["flattened"] >= len(chosen)) == flat
     before, now = (person._replace(scales=scales, rotations=rotations), even)
     before, now = (Canonical(*(part[chosen] for part in one)) for one in (before, now))
     sigma = across(now, normals).median()
@@ -101,8 +102,8 @@ def test_what_is_seen_edge_on_stays_but_for_dots_far_out(pushed):
 def test_where_nobody_looks_nothing_moves(pushed):
     _, where, off, *_ = pushed
     for cameras, frames in ((views(), []), (views()._replace(masks=torch.zeros(3, SIZE, SIZE)), [0, 1, 2])):
-        even, moved = depths.snap_to_surface(off, where, cameras, frames)
-        assert moved == 0 and torch.equal(even.means, off.means)
+        even, counts = depths.snap_to_surface(off, where, cameras, frames)
+        assert not counts["snapped"] and not counts["flattened"] and torch.equal(even.means, off.means)
 
 
 def test_an_even_person_stays_even_when_evened_again(pushed):
