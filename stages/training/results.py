@@ -160,9 +160,6 @@ def _person(fit: Fit, who: PersonLearner, clip: Clip, say: Finishing) -> tuple[A
     for name, words in COUNTED.items():
         if words and counts[name]:
             say.note(f"{counts[name]:,} Gaussians {words}")
-    if "lining" in kept.counts:
-        under = f"under {100 * counts['lining'] / len(body.surface()[0]):.0f} % of the surface"
-        say.note(f"{counts['lining']:,} Gaussians put {under}, so that new poses tear no holes there")
     poses = replace(clip.body, global_orient=_array(orient), body_pose=_array(body_pose), transl=_array(transl))
     avatar = _avatar(kept, who, body, clip.body.betas, fit.options.antialias)
     return _with_gestures(avatar, clip, say), poses, counts

@@ -175,17 +175,6 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
     return normals / torch.where(length == 0, 1.0, length)
 
 
-def edge_lengths(vertices: Tensor, faces: Tensor) -> Tensor:
-    """Mean length [V] in metres of the edges at each of vertices[V,3]; zero for a vertex in no face."""
-    corners = vertices[faces]
-    lengths = (corners - corners.roll(-1, 1)).norm(dim=2)
-    around = lengths + lengths.roll(1, 1)
-    total, count = (torch.zeros(len(vertices)).to(vertices) for _ in range(2))
-    total.index_add_(0, faces.flatten(), around.flatten())
-    count.index_add_(0, faces.flatten(), torch.full_like(around, 2).flatten())
-    return total / count.clamp_min(1)
-
-
 @lru_cache(maxsize=8)
 def _ancestors(parents: tuple[int, ...], device: torch.device) -> tuple[Tensor, ...]:
     """Of each joint the row of its parent, of the one 2, 4, 8 above it and so on while there is any; the row past all joints

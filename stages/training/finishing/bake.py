@@ -56,7 +56,7 @@ COUNTED = {
     "snapped": "put back that stood out of the surface",
     "flattened": f"thinned to {1000 * FLAT:g} mm across the skin where frames look from one side only",
     "shortened": f"cut to {SHORT:g} times the length that they began with",
-    "lining": "",
+    "lining": "added under the surface, where new poses would tear holes",
     "unseen": "of the person that no frame shows have the place and shape of the body",
 }
 """What is counted on the way, in the order in which it is said; without words: said elsewhere."""
