@@ -23,6 +23,7 @@ UNDER = 0.028  # m under the surface, which lies 1 cm over the middles of Gaussi
 THIN = 0.7  # of its depth: a point nearer than this to another side goes half as deep
 WIDE, FLAT = 0.72, 0.2  # sigma along the surface, of SIDE; across it, of that
 LEAK = 4e-7  # of the person's pixels: a lining Gaussian that paints more beside the person shows there
+BEFORE = 0.15  # of what it would paint with nothing before it: one that paints more lies before the person
 NEIGHBOURS = 8  # that give colour and skinning weights
 OPAQUE = 0.5  # opacity from which they do
 
@@ -30,14 +31,14 @@ OPAQUE = 0.5  # opacity from which they do
 def add_lining(person: Canonical, body: FittedBody, views: Views, frames: list[int]) -> Canonical:
     """The person and, after its rows, opaque Gaussians evenly under its own surface, in the colours above.
 
-    Those that would show beside the person's masks in `frames` of `views` are left out.
+    Those that would show in `frames` of `views` are left out: beside the person's masks, and before the person.
     """
     shell = _shell(person)
     if len(shell.faces) == 0:
         return person
     lined = _lined(person, _skin(person, shell))
     painted = count_pixels(lined, body, views, frames)
-    kept = painted.beside <= LEAK * painted.pixels
+    kept = (painted.beside <= LEAK * painted.pixels) & (painted.clear <= BEFORE)
     kept[: len(person.means)] = True
     return Canonical(*(part[kept] for part in lined))
 
