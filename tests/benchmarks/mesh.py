@@ -4,7 +4,9 @@
 
 Of a result or an avatar file: from eight sides standing, and in three new poses, against the Gaussians' own pictures; of a
 result also in its held-out frames, mesh and Gaussians each against the clip's picture cut out by its mask. Outlines are coverage
-from one half on; LPIPS is over white in the box of the person, and in the whole picture as `lpips_whole`.
+from one half on; LPIPS is over white in the box of the person, and in the whole picture as `lpips_whole`. How much of it is the
+outline: `lpips_sharp` is of the Gaussians' own picture cut sharp at coverage one half, `lpips_soft` of the mesh's with the
+Gaussians' coverage.
 """
 
 from __future__ import annotations
@@ -18,8 +20,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 import torch
+from scipy.ndimage import distance_transform_edt
 
 from stages.avatar.drawing.avatar import PosedAvatar, load_avatar
 from stages.avatar.drawing.cast import Moment
@@ -39,7 +43,7 @@ from stages.formats.exchange.avatar_glb import write_avatar_glb
 from stages.formats.images import write_image
 from stages.formats.splats import read_avatar
 from stages.records import Avatar
-from tests.made.three_page import opened
+from tests.made.three_page import FINER, opened
 
 NEW = {"walk_in_place": 20, "jumping_jacks": 45, "squats": 30}  # motion -> its picture
 
@@ -137,7 +141,26 @@ def compare(
     row = {"iou": iou(drawn[..., 3], mask), "lpips": apart(shown), "lpips_whole": apart(shown, np.s_[:])}
     if shot.clip is not None:
         row |= {"gaussians_iou": iou(alpha, mask), "gaussians_lpips": apart(image)}
+    else:
+        row |= {
+            "lpips_sharp": apart(covered(image, alpha, cut(alpha))),
+            "lpips_soft": apart(covered(shown, drawn[..., 3], alpha)),
+        }
     return row, np.concatenate([part[box] for part in (truth, image, shown)], 1)
+
+
+def cut(alpha: np.ndarray) -> np.ndarray:
+    """Coverage [H,W] of what is covered by one half or more: drawn FINER times finer, and averaged, as the mesh is."""
+    height, width = alpha.shape
+    fine = cv2.resize(alpha, (FINER * width, FINER * height), interpolation=cv2.INTER_LINEAR) >= 0.5
+    return fine.reshape(height, FINER, width, FINER).mean((1, 3))
+
+
+def covered(image: np.ndarray, had: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """A picture [H,W,3] over white whose coverage was `had` [H,W], with the coverage `alpha`; colours beyond are the nearest."""
+    colours = (image - 1 + had[..., None]) / np.maximum(had, 1e-3)[..., None]
+    near = distance_transform_edt(had < 0.5, return_distances=False, return_indices=True)
+    return colours[tuple(near)] * alpha[..., None] + 1 - alpha[..., None]
 
 
 def main() -> None:

@@ -103,9 +103,10 @@ def test_in_viewers_who_take_y_as_down_person_and_scene_stand_upright(out):
 
 
 def test_a_vrm_with_the_words_of_the_user(clip, tmp_path):
-    said = made(clip, tmp_path, formats=["vrm"], vrm={"authors": ["Ann"], "modification": "allowModification"})
-    about = Glb(tmp_path / "avatar.vrm").content["extensions"]["VRMC_vrm"]
-    assert about["meta"]["authors"] == ["Ann"] and about["meta"]["modification"] == "allowModification"
+    words = {"name": "../Ann/\\Bo", "authors": ["Ann"], "modification": "allowModification"}
+    said = made(clip, tmp_path, formats=["vrm"], vrm=words)
+    meta = Glb(tmp_path / "avatar.vrm").content["extensions"]["VRMC_vrm"]["meta"]
+    assert {name: meta[name] for name in words} == words
     assert sorted(path.name for path in tmp_path.iterdir()) == ["avatar.npz", "avatar.vrm", "ground.json"]
     assert any("avatar.vrm" in line and "Ann" in line for line in said)
     assert any("2 bones" in line and "stand still" in line and "vrm" in line for line in said)

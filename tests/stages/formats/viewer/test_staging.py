@@ -7,9 +7,11 @@ import cv2
 import numpy as np
 import pytest
 
+from stages import export
+from stages.contract import Job
 from stages.formats.viewer.staging import STAGES, background, seen, underfoot
 from stages.records import SH_C0, Cameras, Scene
-from tests.made import exhibits
+from tests.made import company, exhibits, tiny
 from tests.made.devtools import Page
 
 
@@ -96,6 +98,30 @@ def test_the_person_is_wholly_in_the_window_and_fills_it(page, size):
     assert not person[[0, -1]].any() and not person[:, [0, -1]].any()
     rows, columns = person.any(1).mean(), person.any(0).mean()
     assert max(rows, columns) > 0.5
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory):
+    """The page of a clip of two people."""
+    folder = tmp_path_factory.mktemp("pair")
+    clip = company.make(folder)
+    needs = {name: clip[name] for name in ("frames", "sfm", "smpl", "train")}
+    export.run(Job(folder), export.Params(formats=["viewer"]), **needs)
+    shown = Page(folder / "profile")
+    shown.open(folder / "viewer.html", "document.body?.matches('.open, .stuck')")
+    yield shown
+    shown.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [(640, 360), (195, 422)])
+def test_of_two_people_both_are_wholly_in_the_window(pair, size):
+    """Their heads differ in colour."""
+    first_view(pair, size)
+    people, alone = person_in(pair), picture(pair, "person")
+    assert not people[[0, -1]].any() and not people[:, [0, -1]].any() and people.mean() > 0.02
+    for head in (tiny.YELLOW, tiny.YELLOW[company.INKS]):
+        assert (np.abs(alone - 255 * head).max(2) < 60).sum() > 20
 
 
 @pytest.mark.slow
