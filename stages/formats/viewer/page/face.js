@@ -11,23 +11,24 @@ export const FACE_NAMES = `browDownLeft browDownRight browInnerUp browOuterUpLef
 export class Face {
   /** `moves` [3][52 each] m of the Gaussians `mien` of a body at rest for coefficient 1 of each shape. */
   constructor(body, { mien, moves }) {
-    Object.assign(this, { body, rows: mien, moves, last: [] });
+    const count = FACE_NAMES.length, shapes = FACE_NAMES.map(() => []); // of each: a number in `far`, how far it moves that, and so on
+    moves.forEach((move, i) => { if (move) shapes[i % count].push(Math.floor(i / count), move); });
+    Object.assign(this, { body, rows: mien, shapes, far: new Float32Array(3 * mien.length), last: [] });
   }
 
   /** Take coefficients [52], or none for a face at rest. */
   take(face = []) {
-    if (face.length === this.last.length && face.every((value, k) => value === this.last[k])) return;
+    if (face.length === this.last.length && face.every((share, k) => share === this.last[k])) return;
     this.last = face;
-    const shapes = FACE_NAMES.map((_, k) => k).filter((k) => face[k]), { means } = this.body, { length } = FACE_NAMES;
-    const place = [0, 0, 0];
-    this.rows.forEach((row, i) => {
-      for (let axis = 0; axis < 3; axis++) {
-        const first = length * (3 * i + axis);
-        place[axis] = means[3 * row + axis];
-        for (const k of shapes) place[axis] += face[k] * this.moves[first + k];
-      }
-      this.body.place(row, ...place);
+    const { body, far, shapes } = this, { means } = body;
+    far.fill(0);
+    face.forEach((share, k) => {
+      const moved = shapes[k];
+      if (share) for (let j = 0; j < moved.length; j += 2) far[moved[j]] += share * moved[j + 1];
     });
-    this.body.send(0);
+    this.rows.forEach((row, i) => {
+      body.place(row, means[3 * row] + far[3 * i], means[3 * row + 1] + far[3 * i + 1], means[3 * row + 2] + far[3 * i + 2]);
+    });
+    body.send(0);
   }
 }
