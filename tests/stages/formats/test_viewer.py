@@ -244,6 +244,7 @@ def test_a_dropped_motion_is_played_and_a_bad_one_is_refused_in_words(page, fold
     page.run("hugs.player.set({ playing: false })")
     for name, content, said in (
         ("a.npz", "", "is no BVH"),
+        ("a.csv", "time,jawOpen\n0,1", "nobody here has a face that moves"),
         ("b.bvh", text[:400], "ends too soon"),
         ("c.bvh", text.replace("LeftLeg", "Tail"), "missing left knee"),
         ("d.bvh", text.replace("Frames: 10", "Frames: 99999999"), "10 frames of 99999999"),

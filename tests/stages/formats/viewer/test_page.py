@@ -216,6 +216,18 @@ def test_a_bvh_moves_fingers_as_animate_does(page, record, tmp_path, family):
 
 
 @pytest.mark.slow
+def test_a_dropped_bvh_is_played_with_its_fingers(still, record, tmp_path):
+    text = write_waving(tmp_path / "waving.bvh", record, "mixamo").read_text()
+    drop(still, "waving.bvh", text)
+    wait(still, "hugs.player.motion.name === 'waving'")
+    found = still.run(
+        f"[hugs.player.motion.frame(7, 0).quats.slice(24), Array.from(hugs.perform({json.dumps(text)}).hands)]"
+    )
+    told = np.reshape(found[1], (-1, 30, 3))[7]
+    np.testing.assert_allclose(Rotation.from_quat(found[0]).as_rotvec(), told, atol=1e-5)
+
+
+@pytest.mark.slow
 def test_a_finger_that_turns_too_far_follows_the_bone_above_as_animate_has_it(page, record, tmp_path):
     path, rig = write_waving(tmp_path / "waving.bvh", record, "mixamo"), rig_of(record)
     lines = path.read_text().splitlines()
