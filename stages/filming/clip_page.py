@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from stages.avatar.drawing.rig import weights_of
+from stages.avatar.motion.gestures import fist
 from stages.avatar.motion.moves import clip_move, made_moves
 from stages.avatar.motion.placing import Soles
 from stages.contract import version
@@ -40,13 +42,13 @@ def clip_page(
         "Made by": made_by,
     }
     effects, times = read_effects(train / "effects.npz"), np.array(listing.times(clip.names))
-    lit = effects.light is not None
+    lit, gestured = effects.light is not None, any(one.fingers is not None for one, *_ in cast)
     return viewer.Exhibit(
         title=title,
         subtitle=f"{gaussians:,} Gaussians in the {'person' if len(cast) == 1 else 'people'}"
         + ("" if scene is None else f", {len(scene):,} in the scene"),
         facts=list(facts.items()),
-        figures=[_figure(one, *parts, ground, times, lit) for one, parts in zip(people, cast, strict=True)],
+        figures=[_figure(one, *parts, ground, times, lit, gestured) for one, parts in zip(people, cast, strict=True)],
         scene=scene,
         effects=effects,
         cameras=clip.world_cameras,
@@ -59,11 +61,19 @@ def clip_page(
 
 
 def _figure(
-    clip: Clip, avatar: Avatar, rig: Rig, soles: Soles, ground: Ground, times: np.ndarray, lit: bool
+    clip: Clip, avatar: Avatar, rig: Rig, soles: Soles, ground: Ground, times: np.ndarray, lit: bool, gestured: bool
 ) -> viewer.Figure:
-    """A person as the page has them; `lit`: by a light that casts shadows."""
+    """A person as the page has them; `lit`: by a light that casts shadows; `gestured`: someone of the clip has fingers."""
     floor = floor_under(clip, rig, ground)
-    parts = avatar.casters if lit else None
-    moves, sole = [clip_move(clip.body, times), *made_moves(floor, soles)], soles.at_rest()
-    absent = np.flatnonzero(clip.body.confidence <= 0).tolist()
-    return viewer.Figure(rig, avatar.lbs_weights, moves, ground.turn, floor.point, sole, parts, absent=absent)
+    return viewer.Figure(
+        rig=rig,
+        weights=weights_of(avatar),
+        moves=[clip_move(clip.body, times), *made_moves(floor, soles, gestured)],
+        turn=ground.turn,
+        spot=floor.point,
+        soles=soles.at_rest(),
+        parts=avatar.casters if lit else None,
+        fist=fist(),
+        face=avatar.face,
+        absent=np.flatnonzero(clip.body.confidence <= 0).tolist(),
+    )

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from stages.avatar.drawing.rig import weights_of
+from stages.avatar.motion.gestures import fist
 from stages.avatar.motion.moves import made_moves
 from stages.contract import version
 from stages.filming.cast import Actor
@@ -57,15 +59,22 @@ def figure(shoot: Shoot, actor: Actor) -> viewer.Figure:
     """A person as the page has them."""
     rows = [actor.row(number) for number in range(shoot.count)]
     rotvecs = np.concatenate([actor.global_orient[rows], actor.body_pose[rows]], 1)
+    hands, face = (None if part is None else part[rows] for part in (actor.placed.hands, actor.placed.face))
+    gestured = any(one.record.fingers is not None for one in shoot.cast)
     own = replace(shoot.setting.ground, point=actor.place, up=actor.turn[:, 1], ahead=actor.turn[:, 2])
     return viewer.Figure(
         rig=in_gain(actor.rig, actor.gain),
-        weights=actor.record.lbs_weights,
-        moves=[Move("The film", shoot.fps, rotvecs, actor.transl[rows]), *made_moves(own, actor.soles)],
+        weights=weights_of(actor.record),
+        moves=[
+            Move("The film", shoot.fps, rotvecs, actor.transl[rows], hands, face),
+            *made_moves(own, actor.soles, gestured),
+        ],
         turn=actor.turn,
         spot=actor.place,
         soles=actor.soles.at_rest(),
         parts=actor.record.casters,
+        fist=fist(),
+        face=actor.record.face,
         scale=actor.scale,
     )
 

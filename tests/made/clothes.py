@@ -34,12 +34,12 @@ def some_clothes(count: int = 5, seed: int = 5) -> Clothes:
     )
 
 
-def dress(avatar: Avatar, clothes: Clothes) -> Avatar:
-    """The avatar with most of each Gaussian's weight on bones of the clothes near it; feet wear none."""
+def dress(avatar: Avatar, clothes: Clothes, bare: tuple[int, ...] = ()) -> Avatar:
+    """The avatar with most of each Gaussian's weight on bones of the clothes near it; feet and joints `bare` wear none."""
     away = np.linalg.norm(avatar.means[:, None] - clothes.centres, axis=2)
     bells = np.exp(-0.5 * ((away - away.min(1, keepdims=True)) / WIDE) ** 2)
     own = MOSTLY * bells / bells.sum(1, keepdims=True)
-    own[np.isin(avatar.lbs_weights.argmax(1), [*ANKLES, *FEET])] = 0
+    own[np.isin(avatar.lbs_weights.argmax(1), [*ANKLES, *FEET, *bare])] = 0
     skin = avatar.lbs_weights * (1 - own.sum(1, keepdims=True))
     return replace(avatar, lbs_weights=np.concatenate([skin, own], 1), clothes=clothes)
 

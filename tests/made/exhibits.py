@@ -11,21 +11,31 @@ import numpy as np
 import pytest
 
 from stages import export
+from stages.avatar.body.joints import HANDS, HEAD, WRISTS
+from stages.avatar.drawing.attach import attach
 from stages.contract import Job
 from stages.formats import viewer
+from stages.formats.body_model import read_body_model
 from stages.formats.effects import write_effects
+from stages.formats.hands import write_hands
+from stages.formats.hands_face import read_hands_face
 from stages.formats.splats import read_avatar, read_scene, write_splats
+from stages.gestures import HandPoses
 from stages.records import Effects, Scene
 from tests.made import tiny
 from tests.made.clothes import dress, some_clothes
 
+BARE = (HEAD, *WRISTS, *HANDS)
 HAZE = 8  # layers
 ROWS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 NAME = '<!--<script>window.broken=1</script><img src=x onerror="window.broken=1"> & \u2028.mp4'
 
 
-def make(folder: Path, scene: bool = True) -> dict[str, Path]:
-    """The folders of the stages up to train, and `export`, of the tiny clip with clothes, and a shadow if with `scene`."""
+def make(folder: Path, scene: bool = True, gestured: bool = False) -> dict[str, Path]:
+    """The folders of the stages up to train, and `export`, of the tiny clip with clothes, and a shadow if with `scene`.
+
+    `gestured`: the avatar has fingers, which lie a little bent and move in the clip, and a face.
+    """
     folders = tiny.make(folder, scene)
     listing = folders["frames"] / "frames.json"
     frames = [{"name": name, "index": int(name), "time_s": int(name) / 30} for name in tiny.NAMES]
@@ -34,7 +44,13 @@ def make(folder: Path, scene: bool = True) -> dict[str, Path]:
     train = folders["train"]
     person = read_avatar(train / "avatar.npz")
     person = replace(person, lbs_weights=spread(person.lbs_weights))
-    write_splats(train / "avatar.npz", dress(person, some_clothes()))
+    person = dress(person, some_clothes(), BARE if gestured else ())
+    if gestured:
+        body, turns = read_body_model(), some_hands()
+        person = attach(person, body, read_hands_face(body), turns[0])
+        read, each = np.ones((tiny.FRAMES, 2)), np.full((tiny.FRAMES, 2), 0.01)
+        write_hands(folders["smpl"] / "hands.npz", HandPoses(tiny.NAMES, turns, turns[0], read, each, 6000 * each))
+    write_splats(train / "avatar.npz", person)
     if scene:
         light = np.array([0.3, -0.2, -0.93])
         shadow: dict[str, Any] = {"darkness": 0.6, "softness": 0.05, "density": 2.0, "size": 0.8}
@@ -48,6 +64,11 @@ def make(folder: Path, scene: bool = True) -> dict[str, Path]:
     folders["export"].mkdir()
     run(folders)
     return folders
+
+
+def some_hands() -> np.ndarray:
+    """Fingers [F,2,15,3] rad of the frames of the tiny clip, bent by some 15 degrees each way."""
+    return np.random.default_rng(8).normal(0, 0.25, (tiny.FRAMES, 2, 15, 3))
 
 
 def run(folders: dict[str, Path]) -> viewer.Exhibit:

@@ -34,9 +34,11 @@ class Learned:
     effects: FrameEffects
 
     @torch.no_grad()
-    def person(self, pose: Pose) -> Splats:
-        """The person's Gaussians in the world, in the light of the clip."""
-        return Cast([PosedAvatar.of(self.avatar, *pose)], None, self.effects).at(0).people[0]
+    def person(self, pose: Pose, hands: np.ndarray | None = None, face: np.ndarray | None = None) -> Splats:
+        """The person's Gaussians in the world, in the light of the clip, with `hands` [2,15,3] rad and `face` [52]."""
+        gestures = (None if part is None else part[None] for part in (hands, face))
+        posed = PosedAvatar.of(self.avatar, *pose, **dict(zip(("hands", "face"), gestures)))
+        return Cast([posed], None, self.effects).at(0).people[0]
 
     @torch.no_grad()
     def shade(self, scene: Splats | None, pose: Pose | None) -> Splats | None:

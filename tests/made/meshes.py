@@ -15,10 +15,13 @@ from scipy.spatial import cKDTree
 
 from stages.avatar.body.skinning import WORDS, heaviest
 from stages.avatar.body.smpl import Body, vertex_normals
+from stages.avatar.drawing.attach import attach
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.surface import mesh
 from stages.avatar.surface.fuse import fused
 from stages.avatar.surface.looks import all_around
+from stages.formats.hands_face import read_hands_face
+from stages.gestures import FACE_NAMES
 from stages.records import Avatar, BodyModel, Mesh
 from tests.made.tiny import make_avatar
 
@@ -36,6 +39,25 @@ def body_mesh(model: BodyModel, side: int = 8) -> Mesh:
     texture = np.zeros((side, side, 3), np.uint8)
     texture[: side // 2, :, 0] = texture[side // 2 :, :, 2] = 200
     return Mesh(places, normals, np.asarray(model.faces, np.int32), uvs.astype(np.float32), texture, bones, weights)
+
+
+def handed_mesh(model: BodyModel) -> tuple[Mesh, np.ndarray]:
+    """The free body's mesh on finger bones, with the jaw's shape alone, of 40 vertices; and all its weights [V,54]."""
+    rig = read_hands_face(model)
+    assert rig is not None
+    weights = np.concatenate([model.lbs_weights, rig.finger_weights], 1).astype(float)
+    weights[:, 22:24] -= rig.finger_weights.reshape(-1, 2, 15).sum(2)
+    bones, words, _ = heaviest(weights.clip(0), 4, WORDS)
+    morphs = np.zeros((52, len(weights), 3), np.float32)
+    morphs[FACE_NAMES.index("jawOpen"), :40] = [0, -0.03, 0.01]
+    return replace(body_mesh(model), bones=bones, weights=words, morphs=morphs), weights
+
+
+def handed_avatar(model: BodyModel) -> Avatar:
+    """A thin tiny avatar with fingers and a face."""
+    rig = read_hands_face(model)
+    assert rig is not None
+    return attach(make_avatar(model, every=20), model, rig)
 
 
 def solid_avatar(model: BodyModel, count: int = 7000) -> Avatar:

@@ -41,6 +41,16 @@ class Gloves(NamedTuple):
         joints, shape, shares = (part.to(device) for part in parts)
         return cls(joints, shape, torch.as_tensor(fingers.rows).long().to(device), shares)
 
+    def weights(self, own: Tensor) -> Tensor:
+        """The weights [N,J+30] of Gaussians whose weights without finger bones are `own` [N,J]."""
+        weights = torch.cat([own, own.new_zeros(len(own), self.shares.shape[1])], 1)
+        hands = weights[self.rows]
+        hands[:, own.shape[1] :] = self.shares
+        left = hands[:, list(HANDS)] - self.shares.unflatten(1, (2, -1)).sum(2)
+        hands[:, list(HANDS)] = left.clamp_min(0)  # a file rounds shares
+        weights[self.rows] = hands / hands.sum(1, keepdim=True)
+        return weights
+
 
 class Mien(NamedTuple):
     """A face as `gestures.Face` holds it, as tensors, with `moves` [52,3M]."""
@@ -113,13 +123,7 @@ def gloved(avatar: Baked) -> Baked:
     """The avatar with weights for its finger bones, the last of all; ValueError where it has none."""
     if avatar.gloves is None:
         raise ValueError("the avatar has no fingers")
-    own, shares = avatar.resting.weights, avatar.gloves.shares
-    weights = torch.cat([own, own.new_zeros(len(own), shares.shape[1])], 1)
-    hands = weights[avatar.gloves.rows]
-    hands[:, own.shape[1] :] = shares
-    left = hands[:, list(HANDS)] - shares.unflatten(1, (2, -1)).sum(2)
-    hands[:, list(HANDS)] = left.clamp_min(0)  # a file rounds shares
-    weights[avatar.gloves.rows] = hands / hands.sum(1, keepdim=True)
+    weights = avatar.gloves.weights(avatar.resting.weights)
     return avatar._replace(resting=avatar.resting._replace(weights=weights), few=without_zeros(weights))
 
 

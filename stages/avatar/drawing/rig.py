@@ -10,7 +10,7 @@ from stages import gestures, records
 from stages.avatar.body.fingers import finger_bones
 from stages.avatar.body.skinning import MOST, WORDS, heaviest
 from stages.avatar.body.stretch import cloth_of
-from stages.avatar.drawing.avatar import gloved, load_avatar
+from stages.avatar.drawing.avatar import Gloves, gloved, load_avatar
 from stages.avatar.splats.factor import factored
 from stages.avatar.splats.gaussians import Splats
 
@@ -46,6 +46,13 @@ def rig_of(avatar: records.Avatar) -> records.Rig:
         fingers=avatar.fingers,
         finger_joints=None if avatar.fingers is None else _lying(avatar.fingers),
     )
+
+
+def weights_of(avatar: records.Avatar) -> np.ndarray:
+    """All skinning weights of the avatar, rows summing to 1: [N,24+K], and with fingers [N,24+K+30]."""
+    if avatar.fingers is None:
+        return avatar.lbs_weights
+    return Gloves.of(avatar.fingers, "cpu").weights(torch.as_tensor(avatar.lbs_weights).float()).numpy()
 
 
 def _lying(fingers: gestures.Fingers) -> np.ndarray:

@@ -41,6 +41,12 @@ def fingers_at(opened: np.ndarray, spread: np.ndarray) -> np.ndarray:
     return hand.reshape(len(opened), 15, 3)
 
 
+def fist() -> np.ndarray:
+    """Both hands closed, [2,15,3] rad."""
+    hand = fingers_at(np.zeros((1, 5)), np.zeros(1))[0]
+    return np.stack([hand, hand * MIRRORED])
+
+
 def count_to_five(seconds: float, fps: float) -> Gestures:
     """The right hand opens finger by finger, from a fist to five; the mouth says each number."""
     t = times(seconds, fps).numpy() * seconds

@@ -18,15 +18,16 @@ from stages.formats.images import evenly, shrink
 from stages.formats.viewer.libraries import licences, packed
 from stages.formats.viewer.packing import Packer, slopes_in_words
 from stages.formats.viewer.staging import background, covered, seen, underfoot
-from stages.gestures import Move
+from stages.gestures import FINGER_NAMES, Face, Move
 from stages.records import Cameras, Effects, Rig, Scene
 
 ROOM = Path(__file__).parent / "page"
 TEMPLATE, STYLE, BOOT, ICONS = "viewer.html", "viewer.css", "boot.js", "icons.json"
 MODULES = (
-    "arrays.js", "bvh.js", "clip.js", "clothes.js", "controls.js", "dropped.js", "fading.js", "floor.js", "headset.js",
-    "light.js", "main.js", "motion.js", "names.js", "pace.js", "person.js", "player.js", "retarget.js", "ruler.js",
-    "shading.js", "shadow.js", "skeleton.js", "skin.js", "splats.js", "stage.js", "turns.js",
+    "arrays.js", "bvh.js", "capture.js", "clip.js", "clothes.js", "controls.js", "dropped.js", "face.js", "fading.js",
+    "fingers.js", "floor.js", "hands.js", "headset.js", "light.js", "main.js", "motion.js", "names.js", "pace.js",
+    "person.js", "player.js", "retarget.js", "ruler.js", "shading.js", "shadow.js", "skeleton.js", "skin.js", "splats.js",
+    "stage.js", "turns.js",
 )  # fmt: skip
 """They import each other as hugs/NAME."""
 POLICY = (
@@ -35,6 +36,14 @@ POLICY = (
 )
 """What the browser lets the page load: only what is in it."""
 TEN_BITS = 1023  # of the root of a skinning weight, so that many small ones count; the page divides by the sum
+SLIDERS = {
+    "Jaw": "jawOpen",
+    "Smile": "mouthSmileLeft mouthSmileRight",
+    "Pucker": "mouthPucker",
+    "Blink": "eyeBlinkLeft eyeBlinkRight",
+    "Brows": "browInnerUp browOuterUpLeft browOuterUpRight",
+}
+"""What a slider is called -> the shapes of the face that it moves."""
 LARGEST_SCENE = 400_000  # Gaussians: what phones still draw
 PICTURES, SIDE, QUALITY, BYTES = 60, 480, 80, 900_000  # frames shown, px of their longer side, of JPEG, of all of them
 
@@ -43,11 +52,11 @@ PICTURES, SIDE, QUALITY, BYTES = 60, 480, 80, 900_000  # frames shown, px of the
 class Figure:
     """One person of a page.
 
-    `weights` [N,24+K] skin the Gaussians of `rig`, rows sum to 1; K: the bones of its clothes. All figures have as many
-    `moves`, of the same names and lengths. `turn` [3,3] and `spot` [3] m take a motion, y up and facing z, to where the person
-    stands; they are `scale` times as large there. `soles`: points [P,3] m of the body at rest, and their weights [P,24].
-    `parts` cast the shadow: middles [24,3] m and covariances [24,3,3] m^2 at rest. `absent` are frames of the first motion that do
-    not show them.
+    `weights` [N,24+K] skin the Gaussians of `rig`, rows sum to 1; K: the bones of its clothes. After them stand 30 for fingers,
+    where the rig has some: in a `fist` [2,15,3] rad they are closed. All figures have as many `moves`, of the same names and
+    lengths. `turn` [3,3] and `spot` [3] m take a motion, y up and facing z, to where the person stands; they are `scale` times as
+    large there. `soles`: points [P,3] m of the body at rest, and their weights [P,24]. `parts` cast the shadow: middles [24,3] m
+    and covariances [24,3,3] m^2 at rest. `absent` are frames of the first motion that do not show them.
     """
 
     rig: Rig
@@ -57,6 +66,8 @@ class Figure:
     spot: np.ndarray
     soles: tuple[np.ndarray, np.ndarray]
     parts: tuple[np.ndarray, np.ndarray] | None
+    fist: np.ndarray
+    face: Face | None
     scale: float = 1.0
     absent: Sequence[int] = ()
 
@@ -98,7 +109,7 @@ def write_viewer(path: Path, shown: Exhibit) -> list[str]:
         title=shown.title, subtitle=shown.subtitle, facts=shown.facts, lacks=lacks, made_by=shown.made_by, policy=POLICY,
         style=Markup(_text(STYLE)), boot=Markup(_text(BOOT)), licences=licences(),
         icon={name: Markup(drawn) for name, drawn in json.loads(_text(ICONS)).items()},
-        compared=shown.images is not None,
+        compared=shown.images is not None, sliders=_sliders(shown),
         facts_json=_json(_facts(shown, scene, packer)), modules_json=_json(modules), libraries_json=_json(packed()),
         data=base64.b64encode(packer.data).decode(),
     )  # fmt: skip
@@ -126,7 +137,8 @@ def _pack(shown: Exhibit, scene: Scene | None) -> Packer:
 def _pack_figure(packer: Packer, figure: Figure, number: int) -> None:
     rig = figure.rig
     packer.gaussians(f"person{number}", rig, 16)
-    packer.whole(f"person{number}/weights", np.rint(np.sqrt(np.asarray(figure.weights, np.float64)) * TEN_BITS), 16)
+    limbs = figure.weights if rig.fingers is None else figure.weights[:, : -len(FINGER_NAMES)]
+    packer.whole(f"person{number}/weights", _roots(limbs), 16)
     packer.exact(f"person{number}/joints", rig.joints)
     if rig.slopes is not None:
         packer.whole(f"person{number}/cloth", rig.slopes.rows[:, None], 32)
@@ -137,8 +149,39 @@ def _pack_figure(packer: Packer, figure: Figure, number: int) -> None:
     for i, move in enumerate(figure.moves):
         packer.exact(f"motion{number}.{i}/rotvecs", move.rotvecs)
         packer.exact(f"motion{number}.{i}/steps", move.steps)
+        if rig.fingers is not None and move.hands is not None:
+            packer.scaled(f"motion{number}.{i}/hands", move.hands.reshape(len(move.hands), -1), 16)
+        if figure.face is not None and move.face is not None:
+            packer.scaled(f"motion{number}.{i}/face", move.face, 16)
     for name, values in zip(("points", "weights"), figure.soles, strict=True):
         packer.exact(f"soles{number}/{name}", values)
+    _pack_gestures(packer, figure, f"person{number}")
+
+
+def _pack_gestures(packer: Packer, figure: Figure, name: str) -> None:
+    """Fingers and face, where the figure has some."""
+    fingers, face = figure.rig.fingers, figure.face
+    if fingers is not None:
+        shares = figure.weights[:, -len(FINGER_NAMES) :]
+        rows = np.flatnonzero(shares.any(1))
+        packer.whole(f"{name}/gloved", rows[:, None], 32)
+        packer.whole(f"{name}/shares", _roots(shares[rows]), 16)
+        packer.exact(f"{name}/fingers", np.concatenate([fingers.joints, fingers.tips]))
+        packer.exact(f"{name}/lying", fingers.shape)
+        packer.exact(f"{name}/fist", figure.fist)
+    if face is not None:
+        packer.whole(f"{name}/mien", face.rows[:, None], 32)
+        packer.around(f"{name}/moves", face.moves.reshape(len(face.moves), -1).T)
+
+
+def _roots(weights: np.ndarray) -> np.ndarray:
+    return np.rint(np.sqrt(np.asarray(weights, np.float64)) * TEN_BITS)
+
+
+def _sliders(shown: Exhibit) -> dict[str, str]:
+    """SLIDERS, if anybody has a face, and a fist, if anybody has fingers."""
+    found = SLIDERS if any(figure.face is not None for figure in shown.figures) else {}
+    return found | ({"Fist": "fist"} if any(figure.rig.fingers is not None for figure in shown.figures) else {})
 
 
 def _facts(shown: Exhibit, scene: Scene | None, packer: Packer) -> dict[str, Any]:

@@ -42,6 +42,12 @@ class Packer:
         self.whole(name, np.rint((values - low) / step), bits)
         self.table[name] |= {"low": low.tolist(), "step": step.tolist()}
 
+    def around(self, name: str, values: np.ndarray) -> None:
+        """Keep numbers [N,K] in 8 bits, as steps of equal size around 0, which stays 0; each column has its own."""
+        step = np.maximum(np.abs(np.asarray(values, np.float64)).max(0, initial=0.0), np.float32(1e-9)) / 127
+        self.whole(name, np.rint(values / step) + 128)
+        self.table[name] |= {"low": (-128 * step).tolist(), "step": step.tolist()}
+
     def gaussians(self, name: str, of: Scene, bits: int) -> None:
         """Keep what a picture needs of Gaussians, centres with `bits`; colours as seen without their view dependence."""
         self.scaled(f"{name}/means", of.means, bits)

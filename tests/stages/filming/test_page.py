@@ -29,9 +29,9 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def shoot(tmp_path_factory) -> Shoot:
-    run = exhibits.make(tmp_path_factory.mktemp("page") / "run")["train"].parent
+    run = exhibits.make(tmp_path_factory.mktemp("page") / "run", gestured=True)["train"].parent
     people = [
-        Person(avatar=run, motion="wave", at=(-0.4, 0)),
+        Person(avatar=run, motion="count_to_five", at=(-0.4, 0)),
         Person(avatar=run, motion="squats", at=(0.5, 0.3), scale=0.7),
     ]
     film = Film(scene=run, people=people, fps=10.0)
@@ -65,6 +65,13 @@ def test_all_people_move_as_in_the_film_before_its_camera(shoot, tmp_path):
         assert shown.run("hugs.player.people.length") == 2 and shown.said == []
     finally:
         shown.close()
+
+
+def test_hands_and_face_of_the_film_are_in_the_page(shoot):
+    counts, squats = ((actor.placed, figure(shoot, actor).moves[0]) for actor in shoot.cast)
+    np.testing.assert_array_equal(counts[1].hands, counts[0].hands[:30])
+    np.testing.assert_array_equal(counts[1].face, counts[0].face[:30])
+    assert squats[1].hands is None and squats[1].face is None
 
 
 def test_each_stands_in_the_page_as_turned_and_as_large_as_in_the_film(shoot):

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import base64
 import contextlib
 import json
 import re
 from dataclasses import replace
 from importlib import resources
 
-import cv2
 import numpy as np
 import pytest
 import torch
@@ -36,6 +34,7 @@ from tests.made.devtools import Page
 from tests.made.learned import draw, load_learned
 from tests.made.marionette import Firefox
 from tests.made.said import holds
+from tests.made.viewed import drop, message, picture, psnr, wait
 
 CLIP, JACKS = 0, 1  # motions of the page
 WALL = 4.5  # m ahead, in the tiny clip
@@ -206,15 +205,6 @@ def test_clothes_swing_on_the_page_as_they_do_here(page, folders):
     assert (ours[5][24:] - stiff).abs().max() > 0.005, "else the swing says nothing"
 
 
-def picture(url: str) -> np.ndarray:
-    data = np.frombuffer(base64.b64decode(url.partition(",")[2]), np.uint8)
-    return cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1]
-
-
-def psnr(a: np.ndarray, b: np.ndarray) -> float:
-    return float(10 * np.log10(255**2 / np.mean((a.astype(float) - b) ** 2)))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("rest", ["a pose", "bones along x", "z up"])
 def test_a_bvh_is_performed_as_animate_performs_it(page, folders, tmp_path, rest):
@@ -254,13 +244,14 @@ def test_a_dropped_motion_is_played_and_a_bad_one_is_refused_in_words(page, fold
     page.run("hugs.player.set({ playing: false })")
     for name, content, said in (
         ("a.npz", "", "is no BVH"),
+        ("a.csv", "time,jawOpen\n0,1", "nobody here has a face that moves"),
         ("b.bvh", text[:400], "ends too soon"),
         ("c.bvh", text.replace("LeftLeg", "Tail"), "missing left knee"),
         ("d.bvh", text.replace("Frames: 10", "Frames: 99999999"), "10 frames of 99999999"),
         ("e.bvh", text.rstrip("\n").rpartition("\n")[0].rpartition("\n")[0], "8 frames of 10"),
     ):
         drop(page, name, content)
-        wait(page, f"document.getElementById('message').textContent.includes({json.dumps(said)})")
+        message(page, said)
     assert page.run("hugs.player.motions.length") == 6
     drop(
         page, "cut.bvh", text.replace("LeftForeArm", "LeftLowArm").replace("Frames: 10", "Frames: 11")
@@ -272,21 +263,6 @@ def test_a_dropped_motion_is_played_and_a_bad_one_is_refused_in_words(page, fold
 def test_the_page_knows_the_names_of_joints_that_animate_knows():
     page = resources.files("stages.formats.viewer") / "page" / "names.js"
     assert dict(re.findall(r"^  (\w+): \"(.+)\",$", page.read_text(), re.MULTILINE)) == bvh_names.SYNONYMS
-
-
-def drop(page: Page, name: str, text: str) -> None:
-    page.run(
-        "(() => { const carried = new DataTransfer();"
-        f"carried.items.add(new File([{json.dumps(text)}], {json.dumps(name)}));"
-        "window.dispatchEvent(new DragEvent('drop', { dataTransfer: carried, cancelable: true })); })()"
-    )
-
-
-def wait(page: Page, until: str) -> None:
-    page.run(
-        f"new Promise((resolve, reject) => {{ const end = Date.now() + 20000; (function look() {{ if ({until}) resolve();"
-        f"else if (Date.now() > end) reject(new Error({json.dumps('never ' + until)})); else setTimeout(look, 20); }})(); }})"
-    )
 
 
 @pytest.mark.slow

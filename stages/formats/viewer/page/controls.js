@@ -1,4 +1,5 @@
 // Buttons, keys, dropped files: each changes the player, and the player's changes are shown on them.
+import { Capture } from "hugs/capture";
 import { PARTS } from "hugs/skeleton";
 import { offerHeadset } from "hugs/headset";
 import { offerRuler } from "hugs/ruler";
@@ -6,6 +7,7 @@ import { offerRuler } from "hugs/ruler";
 const SPEEDS = [0.25, 0.5, 1, 2];
 
 export function connect(player, read, facts, scene) {
+  const faced = player.people.some(({ face }) => face);
   const $ = (id) => document.getElementById(id);
   const press = (id, act) => $(id).addEventListener("click", act);
   const list = (id, rows) => $(id).replaceChildren(...rows.map(([value, text]) => new Option(text, value)));
@@ -15,17 +17,21 @@ export function connect(player, read, facts, scene) {
     clearTimeout(say.later);
     if (text) say.later = setTimeout(() => say(""), 8000);
   };
-  const names = () => list("motion", [...player.motions.map(({ name }, i) => [i, name]), ["open", "Open a BVH…"]]);
+  const names = () => list("motion", [...player.motions.map(({ name }, i) => [i, name]), ["open", faced ? "Open a BVH or CSV…" : "Open a BVH…"]]);
   const go = (frames) => player.set({ playing: false, position: Math.round(player.position) + frames });
 
   async function bring(file) {
     if (!file) return;
     say(`Reading ${file.name}…`);
     try {
-      const motion = await read(file);
-      player.motions.push(motion);
+      const brought = await read(file);
+      if (brought instanceof Capture) {
+        player.set({ capture: brought, position: 0, playing: true });
+        return say(`${file.name}: ${brought.said.join("; ")}`);
+      }
+      player.motions.push(brought);
       names();
-      player.set({ motion, playing: true });
+      player.set({ motion: brought, playing: true });
       say("");
     } catch (error) {
       say(error.message);
@@ -66,10 +72,9 @@ export function connect(player, read, facts, scene) {
     player.bend(Number($("joint").value), axes.map(({ value }) => Number(value)));
   }));
   $("joint").addEventListener("change", () => player.changed());
-  press("unbend", () => {
-    player.bends.clear();
-    player.set({});
-  });
+  const sliders = [...document.querySelectorAll("[data-shapes]")].map((slider) => [slider, slider.dataset.shapes.split(" ")]);
+  for (const [slider, names] of sliders) slider.addEventListener("input", () => player.shape(names, slider.value / 100));
+  press("unbend", () => player.reset());
   player.stage.controls.addEventListener("start", () => {
     if (player.stage.lens) player.orbit();
   });
@@ -124,7 +129,11 @@ export function connect(player, read, facts, scene) {
     $("shade").setAttribute("aria-pressed", player.shaded);
     $("dim").disabled = player.show === "person";
     $("dim").setAttribute("aria-pressed", player.dimmed);
-    $("bend").setAttribute("aria-pressed", player.bends.size > 0);
+    $("bend").setAttribute("aria-pressed", player.bends.size + player.shapes.size > 0 || player.capture !== null);
+    for (const [slider, [name]] of sliders) {
+      slider.value = 100 * (player.shapes.get(name) ?? 0);
+      slider.nextElementSibling.textContent = slider.value;
+    }
     const angles = player.bends.get(Number($("joint").value)) ?? [0, 0, 0];
     axes.forEach((slider, i) => {
       slider.value = angles[i];

@@ -1,5 +1,6 @@
-// A motion that the user brings, performed where people stand.
+// What the user brings: a motion, performed where people stand, or a face.
 import { parseBvh } from "hugs/bvh";
+import { Capture } from "hugs/capture";
 import { faceAhead, onFloor } from "hugs/floor";
 import { Motion } from "hugs/motion";
 import { mapBody } from "hugs/names";
@@ -8,12 +9,16 @@ import { add, apply, matrixOfRotvec, mul, row, rotvecOfMatrix, sub } from "hugs/
 
 const LARGEST = 64e6; // bytes
 
-/** The motion of a dropped file, performed by each of the people; Error in words that a user can act on. */
-export async function readMotion(file, people) {
-  if (!/\.bvh$/i.test(file.name)) throw new Error(`${file.name} is no BVH; hugs animate also takes .npz`);
+/** What a dropped file holds: a motion, performed by each of the people, or a Capture of a face; Error in words that a user can act on. */
+export async function readDropped(file, people) {
+  const face = /\.csv$/i.test(file.name);
+  if (!face && !/\.bvh$/i.test(file.name)) throw new Error(`${file.name} is no BVH; hugs animate also takes .npz`);
   if (file.size > LARGEST) throw new Error(`${file.name} is larger than ${LARGEST / 1e6} MB`);
   try {
-    const text = await file.text(), tracks = people.map((person) => performed(text, person));
+    if (face && !people.some((person) => person.face)) throw new Error("nobody here has a face that moves");
+    const text = await file.text();
+    if (face) return new Capture(text);
+    const tracks = people.map((person) => performed(text, person));
     tracks.forEach(({ rotvecs, steps }, who) => stood(rotvecs, steps, people[who].stand, row(people[who].joints, 0)));
     const name = file.name.replace(/\.bvh$/i, ""), said = tracks[0].said;
     return new Motion(said ? `${name} (${said})` : name, tracks[0].fps, tracks);
@@ -22,10 +27,11 @@ export async function readMotion(file, people) {
   }
 }
 
-/** A BVH's motion by a body {joints, parents, soles}: y up, floor at 0, the first frame over the origin. */
-export function performed(text, { joints, parents, soles }) {
-  const bvh = parseBvh(text), performance = faceAhead(retarget(bvh, mapBody(bvh), joints, parents));
-  return { ...onFloor(performance, bvh.fps, soles, joints, parents), fps: bvh.fps, said: bvh.said };
+/** A BVH's motion by a body {joints, parents, soles, hands}: y up, floor at 0, the first frame over the origin. */
+export function performed(text, { joints, parents, soles, hands: fingers }) {
+  const bvh = parseBvh(text), { hands, broken, ...body } = retarget(bvh, mapBody(bvh), joints, parents, fingers);
+  const said = [bvh.said, broken ? `${broken} finger bones left out` : ""].filter(Boolean).join(", ");
+  return { ...onFloor(faceAhead(body), bvh.fps, soles, joints, parents), hands, fps: bvh.fps, said };
 }
 
 /** Take a motion, in place, to where the person stood: `turn` [9] to the clip's world, `spot` [3] m on its floor. */

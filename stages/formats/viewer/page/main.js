@@ -2,7 +2,8 @@
 import { unpack } from "hugs/arrays";
 import { Clip } from "hugs/clip";
 import { connect } from "hugs/controls";
-import { performed, readMotion } from "hugs/dropped";
+import { Capture } from "hugs/capture";
+import { performed, readDropped } from "hugs/dropped";
 import { Fading } from "hugs/fading";
 import { Motion } from "hugs/motion";
 import { Person } from "hugs/person";
@@ -27,8 +28,8 @@ export async function start(facts, buffer) {
   const motions = facts.motions.map(({ name, fps }, i) => new Motion(name, fps, people.map((_, who) => groups[`motion${who}.${i}`])));
   const clip = new Clip(facts.clip, groups.clip), fading = scene ? new Fading(scene, groups.scene.marks, clip) : null;
   player = new Player(stage, people, scene, { shadow, fading }, clip, motions);
-  connect(player, (file) => readMotion(file, people), facts, groups.scene);
-  window.hugs = { player, facts, show: (wanted) => show(player, wanted), perform: (text) => performed(text, people[0]) };
+  connect(player, (file) => readDropped(file, people), facts, groups.scene);
+  window.hugs = { player, facts, show: (wanted) => show(player, wanted), perform: (text) => performed(text, people[0]), capture: (text) => new Capture(text) };
   player.position = facts.clip.middle;
   player.home(facts.clip.middle);
   await stage.shown;

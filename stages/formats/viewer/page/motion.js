@@ -1,9 +1,10 @@
 // Motions: poses at even times, in the clip's world, of one person or several.
-import { poseOf } from "hugs/skeleton";
+import { quatsOf } from "hugs/skeleton";
 import { slerp } from "hugs/turns";
 
 export class Motion {
-  /** Of each person `rotvecs` [72 a frame] rad, root first, and `steps` [3 a frame] m, at `fps` frames a second. */
+  /** Of each person `rotvecs` [72 a frame] rad, root first, and `steps` [3 a frame] m, at `fps` frames a second; where they have
+   * some, `hands` [90 a frame] rad and `face` [52 a frame]. */
   constructor(name, fps, tracks) {
     Object.assign(this, { name, fps, tracks, known: tracks.map(() => []) });
     this.count = Math.max(...tracks.map(({ steps }) => steps.length / 3));
@@ -11,10 +12,11 @@ export class Motion {
 
   get seconds() { return this.count / this.fps; }
 
-  /** The pose of a whole frame. */
+  /** The pose of a whole frame: a quaternion a joint, root first and fingers last, the step of the whole body in m, and a face. */
   frame(i, who) {
-    const { rotvecs, steps } = this.tracks[who];
-    this.known[who][i] ??= poseOf(rotvecs.subarray(72 * i, 72 * i + 72), Array.from(steps.subarray(3 * i, 3 * i + 3)));
+    const { rotvecs, steps, hands, face } = this.tracks[who];
+    const cut = (values, each) => (values ? Array.from(values.subarray(each * i, each * i + each)) : []);
+    this.known[who][i] ??= { quats: quatsOf([...cut(rotvecs, 72), ...cut(hands, 90)]), step: cut(steps, 3), face: cut(face, 52) };
     return this.known[who][i];
   }
 
@@ -24,9 +26,11 @@ export class Motion {
     const low = Math.max(0, Math.min(last, Math.floor(position))), high = Math.min(last, low + 1);
     const share = Math.min(1, position - low), a = this.frame(low, who), b = this.frame(high, who);
     if (share < 1e-6 || low === high) return a;
+    const between = (from, to) => from.map((part, k) => part + share * (to[k] - part));
     return {
       quats: a.quats.map((quat, k) => slerp(quat, b.quats[k], share)),
-      step: a.step.map((part, k) => part + share * (b.step[k] - part)),
+      step: between(a.step, b.step),
+      face: between(a.face, b.face),
     };
   }
 }

@@ -17,7 +17,7 @@ const NEEDED = ["hip", "knee", "ankle", "shoulder", "elbow", "wrist"];
 /** limbs: SMPL joint -> joint; the pelvis; the chains of the spine and of the neck. */
 export function mapBody(bvh) {
   const words = {};
-  bvh.names.forEach((name, i) => { if (name) words[wordsOf(name)] ??= i; });
+  bvh.names.forEach((name, i) => { if (name) words[wordsOf(name).join(" ")] ??= i; });
   const limbs = {}, missing = [];
   for (const side of ["left", "right"]) {
     for (const [part, names] of Object.entries(SYNONYMS)) {
@@ -35,8 +35,8 @@ export function mapBody(bvh) {
   return { limbs, pelvis, spine: beyond(pelvis, chest), neck: beyond(chest, words[" head"] ?? chest) };
 }
 
-/** Side and what is left of a joint's name: "mixamorig:LeftUpLeg" -> "left upleg". */
-function wordsOf(name) {
+/** Side and what is left of a joint's name: "mixamorig:LeftUpLeg" -> ["left", "upleg"]. */
+export function wordsOf(name) {
   name = name.slice(name.lastIndexOf(":") + 1).replace(/^(bip\d*|mixamorig\d*|def|org)[\s_.-]+/i, "");
   const plain = (text) => text.replace(/[\s_.-]/g, "").toLowerCase();
   for (const side of ["left", "right"]) {
@@ -47,13 +47,14 @@ function wordsOf(name) {
     ];
     for (const pattern of patterns) {
       const found = pattern.exec(name);
-      if (found) return `${side} ${plain(found[1])}`;
+      if (found) return [side, plain(found[1])];
     }
   }
-  return ` ${plain(name)}`;
+  return ["", plain(name)];
 }
 
-function ancestors(bvh, i) {
+/** The line of a joint from the root on, itself included. */
+export function ancestors(bvh, i) {
   const line = [];
   for (; i >= 0; i = bvh.parents[i]) line.unshift(i);
   return line;

@@ -1,5 +1,7 @@
 // A person: Gaussians in the T-pose, skinned on the graphics card.
 import { Clothes } from "hugs/clothes";
+import { Face } from "hugs/face";
+import { FINGERS, Hands } from "hugs/hands";
 import { bonesOf } from "hugs/skeleton";
 import { Skin } from "hugs/skin";
 import { Splats } from "hugs/splats";
@@ -17,7 +19,9 @@ export class Person {
     this.parts = middles ? { middles, covariances } : null; // what casts their shadow
     this.body = new Splats(arrays);
     this.clothes = arrays.centres ? new Clothes(arrays) : null;
-    const bones = parents.length + (this.clothes ? this.clothes.count : 0);
+    this.hands = arrays.fingers ? new Hands(arrays) : null;
+    this.face = arrays.moves ? new Face(this.body, arrays) : null;
+    const bones = parents.length + (this.clothes ? this.clothes.count : 0) + (this.hands ? FINGERS : 0);
     this.skin = new Skin(this.mesh, arrays, bones, this.body.splats.textures[0].image, bands);
     this.mesh.skinning = this.skin;
     this.mesh.updateGenerator();
@@ -27,11 +31,14 @@ export class Person {
 
   get mesh() { return this.body.mesh; }
 
-  /** Take a pose, {quats [24], step [3]}; returns where its bones are. */
-  take({ quats, step }) {
-    const bones = bonesOf(quats, this.joints, this.parents), { turns, shifts } = bones;
-    const hung = this.clothes?.hang(bones, quats.slice(1).flatMap(rotvecOfQuat));
-    this.skin.take(hung ? { turns: [...turns, ...hung.turns], shifts: [...shifts, ...hung.shifts] } : bones);
+  /** Take a pose, {quats [24, with fingers 54], step [3], face [52 or none]}, its hands closed by `fist`, 0 to 1; returns where
+   * its bones are. */
+  take({ quats, step, face, fist }) {
+    const body = quats.slice(0, 24), bones = bonesOf(body, this.joints, this.parents);
+    const hung = this.clothes?.hang(bones, body.slice(1).flatMap(rotvecOfQuat));
+    const all = [bones, hung, this.hands?.bones(bones, quats.slice(24), fist)].filter(Boolean);
+    this.skin.take({ turns: all.flatMap(({ turns }) => turns), shifts: all.flatMap(({ shifts }) => shifts) });
+    this.face?.take(face);
     this.mesh.position.fromArray(this.placed(step));
     this.mesh.scale.setScalar(this.stand.scale);
     return { ...bones, step };
@@ -39,7 +46,7 @@ export class Person {
 
   /** Where their joints are in a pose, and how far they reach around each, in m: [x, y, z, reach]. */
   joined({ quats, step }) {
-    const { places } = bonesOf(quats, this.joints, this.parents);
+    const { places } = bonesOf(quats.slice(0, 24), this.joints, this.parents);
     return places.map((place) => [...this.placed(add(place, step)), REACH * this.height * this.stand.scale]);
   }
 

@@ -1,13 +1,15 @@
 // A BVH's motion on SMPL's skeleton: limbs point where they pointed, the rest turns as it turned.
 // The same as stages/avatar/motion/retarget.py, which says why.
+import { bend, mapFingers } from "hugs/fingers";
 import { ANKLES, COLLARS, ELBOWS, FEET, HANDS, HEAD, HIPS, KNEES, LIMBS, NECK, SHOULDERS, SPINE, WRISTS } from "hugs/skeleton";
 import * as t from "hugs/turns";
 
 const STANDING = 0.7;
 const FOLLOWERS = [...COLLARS, ...HIPS, ...SHOULDERS, ...KNEES, ...ELBOWS, ...ANKLES, ...WRISTS, ...FEET, ...HANDS];
 
-/** Local turns of SMPL's joints a frame [F][24], the middle of the hips [F][3], and how long the legs are. */
-export function retarget(bvh, { limbs, pelvis, spine, neck }, joints, parents) {
+/** Local turns of SMPL's joints a frame [F][24], the middle of the hips [F][3], how long the legs are, and of a body with `fingers`
+ * what these do. */
+export function retarget(bvh, { limbs, pelvis, spine, neck }, joints, parents, fingers) {
   const rest = Array.from({ length: 24 }, (_, i) => t.row(joints, i));
   const still = { places: bvh.frames[0].places, turns: bvh.names.map(() => t.IDENTITY) };
   const frames = [still, ...bvh.frames].map((frame) => inTheWorld(frame, bvh.parents)); // the first: nothing is turned
@@ -47,7 +49,9 @@ export function retarget(bvh, { limbs, pelvis, spine, neck }, joints, parents) {
   const turns = world.slice(1).map((out) =>
     out.map((turn, joint) => (joint ? t.mul(t.transpose(out[parents[joint]]), turn) : turn)));
   const hips = at.slice(1).map((place) => t.middle(place[HIPS[0]], place[HIPS[1]]));
-  return { turns, hips, leg: legOf(at[reference]) };
+  const chains = fingers ? mapFingers(bvh, limbs) : new Map(), palms = world.map((out) => HANDS.map((hand) => out[hand]));
+  const bent = chains.size ? bend(frames, reference, chains, palms, fingers) : {};
+  return { turns, hips, leg: legOf(at[reference]), ...bent };
 }
 
 /** Hip to knee to ankle, mean of both sides. */
@@ -67,7 +71,7 @@ function inTheWorld({ places, turns }, parents) {
 function check(at, frames, bvh, limbs) {
   let size = 0;
   for (const { places } of frames) {
-    for (const axis of [0, 1, 2]) size = Math.max(size, span(places.map((place) => place[axis])));
+    for (const axis of [0, 1, 2]) size = Math.max(size, t.span(places.map((place) => place[axis])));
   }
   for (const [a, b] of [...Object.entries(LIMBS), HIPS]) {
     if (at.some((place) => t.length(t.sub(place[b], place[a])) < 1e-6 * size)) {
@@ -75,8 +79,6 @@ function check(at, frames, bvh, limbs) {
     }
   }
 }
-
-const span = (values) => values.reduce((a, b) => Math.max(a, b)) - values.reduce((a, b) => Math.min(a, b));
 
 /** Axes of the trunk as columns: left along the hips, up from them to the shoulders, ahead. */
 function trunkOf(at) {

@@ -13,10 +13,8 @@ export const LIMBS = Object.fromEntries([0, 1].flatMap((side) => [
   [SHOULDERS[side], ELBOWS[side]], [ELBOWS[side], WRISTS[side]],
 ]));
 
-/** A pose: a quaternion a joint, root first, and the step of the whole body in m, from rotation vectors [72]. */
-export function poseOf(rotvecs, step) {
-  return { quats: Array.from({ length: 24 }, (_, joint) => quatOfRotvec(row(rotvecs, joint))), step };
-}
+/** Quaternions of rotation vectors [3 each]. */
+export const quatsOf = (rotvecs) => Array.from({ length: rotvecs.length / 3 }, (_, joint) => quatOfRotvec(row(rotvecs, joint)));
 
 /** Of each bone its turn and shift from rest to the pose, without the step, and where its joint is. */
 export function bonesOf(quats, joints, parents) {

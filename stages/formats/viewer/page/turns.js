@@ -10,6 +10,8 @@ export const length = (a) => Math.hypot(a[0], a[1], a[2]);
 export const unit = (a) => scale(a, 1 / length(a));
 export const middle = (a, b) => scale(add(a, b), 0.5);
 export const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+/** From the least to the largest of numbers. */
+export const span = (values) => values.reduce((a, b) => Math.max(a, b)) - values.reduce((a, b) => Math.min(a, b));
 /** The i-th row of three in a flat array. */
 export const row = (flat, i) => [flat[3 * i], flat[3 * i + 1], flat[3 * i + 2]];
 

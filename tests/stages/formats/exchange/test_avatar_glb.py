@@ -12,8 +12,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from stages.avatar.body.skinning import WORDS, all_bones, heaviest, skin
-from stages.avatar.drawing.attach import attach
+from stages.avatar.body.skinning import all_bones, skin
 from stages.avatar.drawing.avatar import bones_of, load_avatar
 from stages.avatar.drawing.rig import rig_of
 from stages.avatar.drawing.takes import _poses, hung
@@ -25,12 +24,11 @@ from stages.formats.exchange.avatar_vrm import write_avatar_vrm
 from stages.formats.exchange.bone_names import bone_names
 from stages.formats.exchange.glb import Arrays, Glb
 from stages.formats.exchange.vrm_meta import VrmMeta
-from stages.formats.hands_face import read_hands_face
 from stages.gestures import FACE_NAMES
 from tests.made import judges
 from tests.made.clothes import dress, some_clothes
 from tests.made.gltf import TYPES, array, skinned
-from tests.made.meshes import body_mesh
+from tests.made.meshes import body_mesh, handed_avatar, handed_mesh
 from tests.made.three_page import opened
 from tests.made.tiny import make_avatar
 
@@ -176,15 +174,8 @@ def test_blender_poses_the_mesh_as_we_do_and_its_bones_lie_along_the_limbs(tmp_p
 
 @pytest.fixture(scope="module")
 def handed(tmp_path_factory):
-    """The body's mesh on finger bones, with the jaw's shape alone: as a file, and its vertices' weights for them."""
-    rig = read_hands_face(MODEL)
-    weights = np.concatenate([MODEL.lbs_weights, rig.finger_weights], 1).astype(float)
-    weights[:, 22:24] -= rig.finger_weights.reshape(-1, 2, 15).sum(2)
-    bones, words, _ = heaviest(weights.clip(0), 4, WORDS)
-    morphs = np.zeros((52, len(weights), 3), np.float32)
-    morphs[JAW, :40] = [0, -0.03, 0.01]
-    mesh = replace(body_mesh(MODEL), bones=bones, weights=words, morphs=morphs)
-    record = attach(make_avatar(MODEL, every=20), MODEL, rig)
+    """The body's mesh on finger bones, with the jaw's shape alone: as files, and its vertices' weights for them."""
+    (mesh, weights), record = handed_mesh(MODEL), handed_avatar(MODEL)
     path = tmp_path_factory.mktemp("hands")
     write_avatar_glb(path / "avatar.glb", rig_of(record), mesh, made_takes(record.joints[0])[:1], "vrm", FLOOR)
     write_avatar_vrm(path / "avatar.vrm", rig_of(record), mesh, VrmMeta(), "mixamo", FLOOR)

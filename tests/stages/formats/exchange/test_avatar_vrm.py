@@ -9,14 +9,15 @@ import pytest
 from stages.avatar.drawing.rig import rig_of
 from stages.formats.body_model import read_body_model
 from stages.formats.exchange.avatar_vrm import write_avatar_vrm
-from stages.formats.exchange.bone_names import bone_names
+from stages.formats.exchange.bone_names import bone_names, finger_names
 from stages.formats.exchange.glb import Glb
 from stages.formats.exchange.vrm_meta import LICENCE, VrmMeta
+from stages.gestures import FACE_NAMES
 from stages.records import JOINT_NAMES
 from tests.made import judges
 from tests.made.clothes import dress, some_clothes
 from tests.made.devtools import SOFTWARE, Page
-from tests.made.meshes import body_mesh
+from tests.made.meshes import body_mesh, handed_avatar, handed_mesh
 from tests.made.tiny import make_avatar
 
 MODEL = read_body_model()
@@ -43,6 +44,13 @@ window.raise = (name, angle) => {
   vrm.humanoid.getNormalizedBoneNode(name).rotation.z = angle;
   vrm.update(0);
   return window.where();
+};
+window.said = (name, share) => {
+  vrm.expressionManager.setValue(name, share);
+  vrm.update(0);
+  let found = [];
+  vrm.scene.traverse((one) => { if (one.isSkinnedMesh) found = one.morphTargetInfluences; });
+  return found;
 };
 window.about = () => ({ meta: vrm.meta, box: new THREE.Box3().setFromObject(vrm.scene) });
 window.ready = true;
@@ -91,14 +99,34 @@ def test_the_validator_of_khronos_complains_of_nothing(file):
     assert judges.faults(file) == []
 
 
-@pytest.mark.slow
-def test_three_vrm_opens_it_and_poses_its_bones(file, rig, tmp_path):
-    page = tmp_path / "vrm.html"
+@contextlib.contextmanager
+def opened(file, folder):
+    """A VRM in three-vrm, in a tab of its own."""
+    page = folder / "vrm.html"
     text = PAGE.replace("ROOT", judges.modules().as_uri())
     page.write_text(text.replace("DATA", base64.b64encode(file.read_bytes()).decode()))
-    flags = [*SOFTWARE, "--allow-file-access-from-files"]
-    with contextlib.closing(Page(tmp_path / "profile", flags=flags)) as tab:
+    with contextlib.closing(Page(folder / "profile", flags=[*SOFTWARE, "--allow-file-access-from-files"])) as tab:
         tab.open(page, "window.ready === true", 30)
+        yield tab
+
+
+@pytest.mark.slow
+def test_three_vrm_finds_fingers_that_turn_and_a_mouth_that_opens(tmp_path):
+    (mesh, _), rig = handed_mesh(MODEL), rig_of(handed_avatar(MODEL))
+    write_avatar_vrm(tmp_path / "a.vrm", rig, mesh, VrmMeta(), "mixamo", FLOOR)
+    with opened(tmp_path / "a.vrm", tmp_path) as tab:
+        rest, bent = tab.run("where()"), tab.run(f"raise('leftIndexProximal', {np.pi / 2})")
+        shut, wide = tab.run("said('aa', 0)"), tab.run("said('aa', 1)")
+    for bone, place in zip(finger_names("vrm"), rig.finger_joints, strict=False):
+        np.testing.assert_allclose(rest[bone], place - [0, FLOOR, 0], atol=1e-5, err_msg=f"{bone}, m")
+    moved = {bone for bone in rest if np.linalg.norm(np.subtract(bent[bone], rest[bone])) > 1e-4}
+    assert moved == {"leftIndexIntermediate", "leftIndexDistal"}
+    assert [name for name, share in zip(FACE_NAMES, wide, strict=True) if share] == ["jawOpen"] and not any(shut)
+
+
+@pytest.mark.slow
+def test_three_vrm_opens_it_and_poses_its_bones(file, rig, tmp_path):
+    with opened(file, tmp_path) as tab:
         about, rest = tab.run("about()"), tab.run("where()")
         raised = tab.run(f"raise('leftUpperArm', {np.pi / 2})")
     assert about["meta"]["authors"] == ["Ann", "Bo"] and about["meta"]["metaVersion"] == "1"

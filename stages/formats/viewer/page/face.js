@@ -1,0 +1,34 @@
+// The face of an avatar: shapes that move the Gaussians of the head, and add up.
+export const FACE_NAMES = `browDownLeft browDownRight browInnerUp browOuterUpLeft browOuterUpRight cheekPuff cheekSquintLeft
+  cheekSquintRight eyeBlinkLeft eyeBlinkRight eyeLookDownLeft eyeLookDownRight eyeLookInLeft eyeLookInRight
+  eyeLookOutLeft eyeLookOutRight eyeLookUpLeft eyeLookUpRight eyeSquintLeft eyeSquintRight eyeWideLeft
+  eyeWideRight jawForward jawLeft jawOpen jawRight mouthClose mouthDimpleLeft mouthDimpleRight mouthFrownLeft
+  mouthFrownRight mouthFunnel mouthLeft mouthLowerDownLeft mouthLowerDownRight mouthPressLeft mouthPressRight
+  mouthPucker mouthRight mouthRollLower mouthRollUpper mouthShrugLower mouthShrugUpper mouthSmileLeft
+  mouthSmileRight mouthStretchLeft mouthStretchRight mouthUpperUpLeft mouthUpperUpRight noseSneerLeft
+  noseSneerRight tongueOut`.split(/\s+/);
+
+export class Face {
+  /** `moves` [3][52 each] m of the Gaussians `mien` of a body at rest for coefficient 1 of each shape. */
+  constructor(body, { mien, moves }) {
+    const count = FACE_NAMES.length, shapes = FACE_NAMES.map(() => []); // of each: a number in `far`, how far it moves that, and so on
+    moves.forEach((move, i) => { if (move) shapes[i % count].push(Math.floor(i / count), move); });
+    Object.assign(this, { body, rows: mien, shapes, far: new Float32Array(3 * mien.length), last: [] });
+  }
+
+  /** Take coefficients [52], or none for a face at rest. */
+  take(face = []) {
+    if (face.length === this.last.length && face.every((share, k) => share === this.last[k])) return;
+    this.last = face;
+    const { body, far, shapes } = this, { means } = body;
+    far.fill(0);
+    face.forEach((share, k) => {
+      const moved = shapes[k];
+      if (share) for (let j = 0; j < moved.length; j += 2) far[moved[j]] += share * moved[j + 1];
+    });
+    this.rows.forEach((row, i) => {
+      body.place(row, means[3 * row] + far[3 * i], means[3 * row + 1] + far[3 * i + 1], means[3 * row + 2] + far[3 * i + 2]);
+    });
+    body.send(0);
+  }
+}
