@@ -143,7 +143,7 @@ def _following(
     cast: Sequence[Actor],
 ) -> list[Camera]:
     """From where the clip's middle camera stood, turned so that people stay in the middle of the picture."""
-    eye = -view[:3, :3].T @ view[:3, 3]
+    eye = camera_centers(view)
     middle = crowd(range(count), cast, setting.ground.up).mean(1)
     middle = gaussian_filter1d(middle, CALM * fps, axis=0, mode="nearest")
     return [Camera.of(look_at(eye, target, setting.ground.up), K, width, height) for target in middle]

@@ -81,7 +81,7 @@ def framed(
 def widened(camera: Camera, points: np.ndarray, up: np.ndarray) -> Camera:
     """A camera where this one stands, turned to all `points` [N,3] m, and as much wider as they need, up to WIDEST."""
     view, size = camera.viewmat.double().cpu().numpy(), np.array([camera.width, camera.height])
-    eye, ahead = -view[:3, :3].T @ view[:3, 3], points.mean(0)
+    eye, ahead = camera_centers(view), points.mean(0)
     for _ in range(TURNS):
         view = look_at(eye, ahead, up)
         x, y, z = view[:3, :3] @ points.T + view[:3, 3:]

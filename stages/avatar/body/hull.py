@@ -18,7 +18,7 @@ from scipy.ndimage import binary_closing, distance_transform_edt, gaussian_filte
 from scipy.spatial import cKDTree
 
 from stages.avatar.body.joints import ANKLES, ELBOWS, FEET, HANDS, HIPS, KNEES, SHOULDERS, WRISTS
-from stages.avatar.cameras.pinhole import onto
+from stages.avatar.cameras.pinhole import camera_centers, onto
 from stages.avatar.splats.neighbours import farthest_points
 
 REACH = 0.32  # m from the skin: as far as cloth is looked for
@@ -196,8 +196,7 @@ def _seen(space: Space, sight: Sight) -> tuple[np.ndarray, np.ndarray, tuple[np.
     height, width = sight.mask.shape
     shown = (local[:, 2] > 0.05) & (at >= 0).all(1) & (at < [width, height]).all(1)
     column, row = at[shown].astype(int).T
-    eye = -sight.viewmat[:3, :3].T @ sight.viewmat[:3, 3]
-    ray = np.einsum("pba,pb->pa", blend[shown, :, :3], world[shown] - eye)
+    ray = np.einsum("pba,pb->pa", blend[shown, :, :3], world[shown] - camera_centers(sight.viewmat))
     side = np.floor(np.arctan2(ray[:, 0], ray[:, 2]) / np.pi * SIDES).astype(int) % SIDES
     metre = sight.K[0, 0] / max(float(np.median(local[:, 2])), NEAREST)
     return np.flatnonzero(shown), side, (row, column), metre

@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from stages.avatar.cameras.pinhole import onto
+from stages.avatar.cameras.pinhole import camera_centers, onto
 from stages.avatar.drawing.cast import Moment
 from stages.avatar.kernels.mesh import fill
 from stages.avatar.rasterize import Camera
@@ -81,7 +81,7 @@ def _seen(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """The rows [S] of places [P,3] that a camera sees, their colours [S,3] there and how much they count [S]."""
     view, size = camera.viewmat.numpy(), (camera.width, camera.height)
-    sight = torch.as_tensor(-view[:3, :3].T @ view[:3, 3]) - places
+    sight = torch.as_tensor(camera_centers(view)) - places
     cosine = (sight * facing).sum(1) / sight.norm(dim=1) / facing.norm(dim=1).clamp_min(1e-9)
     rows = (cosine > SLANTED).nonzero()[:, 0]
     image, alpha = map(torch.as_tensor, Moment([splats]).picture(camera))
