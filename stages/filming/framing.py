@@ -13,6 +13,7 @@ from stages.avatar.rasterize import Camera
 from stages.filming.cameras import AUTO, CROWN, cameras_of, crowd
 from stages.filming.cast import Actor
 from stages.filming.setting import Setting
+from stages.formats.images import evenly
 
 EVERY = 0.2  # s between the pictures that are looked at
 FRAMES = 15  # of the clip that may be the camera
@@ -55,7 +56,7 @@ def framed(
         return cameras_of("before", *stage), ""
     names = setting.clip.names
     middle = len(names) // 2
-    rows = {middle, *np.linspace(0, len(names) - 1, FRAMES).round().astype(int).tolist()}
+    rows = {middle, *evenly(len(names), FRAMES)}
     found = {}
     for row in sorted(rows, key=lambda row: abs(row - middle)):
         cameras = cameras_of("still", *stage, frame=row)
