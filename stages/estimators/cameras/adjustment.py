@@ -159,8 +159,7 @@ class _Solver:
         bent, f = (u**2).sum(1)[:, None, None], bundle.focals[frame][:, None, None]
         by_u = f * ((1 + bundle.k * bent) * np.eye(2) + 2 * bundle.k * u[:, :, None] * u[:, None])
         by_local = np.concatenate([by_u, -by_u @ u[..., None]], 2) / z[:, None, None]
-        x, y, o = local[:, 0], local[:, 1], np.zeros_like(z)
-        turned = np.stack([np.stack(row, -1) for row in ((o, z, -y), (-z, o, x), (y, -x, o))], 1)  # d(w x p) / dw
+        turned = np.cross(local[:, None], np.eye(3))  # d(w x p) / dw
         rolled = self.late * self.speed(bundle) if self.rolls else np.zeros_like(there)
         J = self.knots.shape[1]
         by_shared = np.concatenate(

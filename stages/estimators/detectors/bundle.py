@@ -82,9 +82,7 @@ def _by_camera(points: np.ndarray, viewmats: np.ndarray, by_point: np.ndarray) -
     """Slopes [F,T,2,6] of pixels by a turn (rad) and a move of each camera, both in its own axes."""
     local = points @ viewmats[:, :3, :3].mT + viewmats[:, None, :3, 3]
     by_local = by_point @ viewmats[:, None, :3, :3].mT
-    x, y, z = np.moveaxis(local, -1, 0)
-    o = np.zeros_like(x)
-    turned = np.stack([np.stack(row, -1) for row in ((o, z, -y), (-z, o, x), (y, -x, o))], -2)  # d(w x p)/dw
+    turned = np.cross(local[..., None, :], np.eye(3))  # d(w x p) / dw
     return np.concatenate([by_local @ turned, by_local], -1)
 
 
