@@ -28,17 +28,13 @@ def read_wham(content: dict[Any, Any], path: str, size: tuple[int, int]) -> Smpl
 
     The file does not say its focal length; without calibration it is the picture's diagonal.
     """
-    fits = []
+    lens, fits = (float(np.hypot(*size)), np.array(size) / 2), []
     for track, values in content.items():
         person = Fields(values, f"track {track} of {path}", WHAM_HINT)
         count = person.count("pose")
         pose = person.rotations("pose", count, 24)
-        betas, transl, numbers = (
-            person.betas("betas", count),
-            person.get("trans", count, 3),
-            _numbers(person, "frame_ids", count),
-        )
-        lens = float(np.hypot(*size)), np.array(size) / 2
+        betas, transl = person.betas("betas", count), person.get("trans", count, 3)
+        numbers = _numbers(person, "frame_ids", count)
         fits.append(_track(path, "WHAM", str(track), betas, pose, transl, numbers, lens))
     return join_fits(fits, path)
 
@@ -99,11 +95,8 @@ def read_prompthmr(content: dict[str, Any], path: str, size: tuple[int, int]) ->
         count = body.count("pose")
         pose = body.rotations("pose", count, 25)
         pose = np.concatenate([pose[:, :66], np.zeros((count, 6))], 1)
-        betas, transl, numbers = (
-            body.betas("shape", count),
-            body.get("trans", count, 3),
-            _numbers(person, "frames", count),
-        )
+        betas, transl = body.betas("shape", count), body.get("trans", count, 3)
+        numbers = _numbers(person, "frames", count)
         one = _track(path, "PromptHMR", str(track), betas, pose, transl, numbers, lens)
         fits.append(replace(one, pelvis=SMPLX_PELVIS, notes=(OTHER_SHAPE.format("SMPL-X"),)))
     return join_fits(fits, path)
