@@ -20,24 +20,13 @@ FREE_BODY = Path(__file__).parent.parent / "estimators" / "free_body.npz"
 SMPL, FREE = "SMPL", "free body"
 """Bodies for which poses are made."""
 HINT = (
-    "give SMPL_NEUTRAL.pkl (SMPL 1.0 or 1.1, 24 joints) or its .npz, an SMPL-H or SMPL-X .npz, "
+    "give SMPL_NEUTRAL.pkl (SMPL 1.0 or 1.1, 24 joints), a model of SMPL-H or SMPL-X, or its .npz, "
     "or leave --body-model out to use the free body"
 )
 _OTHER_NAMES = {"f": "faces", "weights": "lbs_weights"}
 _KEYS = (
-    *(
-        "v_template",
-        "f",
-        "faces",
-        "shapedirs",
-        "posedirs",
-        "J_regressor",
-        "weights",
-        "lbs_weights",
-        "kintree_table",
-        "name",
-    ),
-    *("keypoint_regressor", "keypoint_names", "finger_regressor", "finger_weights"),
+    *("v_template", "f", "faces", "shapedirs", "posedirs", "J_regressor", "kintree_table", "weights", "lbs_weights"),
+    *("keypoint_regressor", "keypoint_names", "finger_regressor", "finger_weights", "name"),
 )
 """All that is read of an .npz: SMPL-X files hold pickled names too."""
 _HAND = 16  # joints of a MANO model

@@ -1,5 +1,7 @@
 """A user's SMPL-H or SMPL-X file: 24 joints bend as its own do, fingers come along, and what is wrong is named."""
 
+import pickle
+
 import numpy as np
 import pytest
 import torch
@@ -99,9 +101,14 @@ def reach(model):
 
 
 @pytest.mark.slow
-def test_newer_files_with_more_shapes_are_the_same_body(tmp_path):
+def test_newer_files_with_more_shapes_are_the_same_body_and_so_are_pickles(tmp_path):
     np.savez(tmp_path / "new.npz", **made_smplx(shapes=400))
-    assert np.array_equal(read_body_model(tmp_path / "new.npz").shapedirs, read_body_model().shapedirs)
+    with open(tmp_path / "old.pkl", "wb") as file:
+        pickle.dump(made_smplx() | {"joint2num": {"Pelvis": 0}}, file, protocol=2)
+    new, old = read_body_model(tmp_path / "new.npz"), read_body_model(tmp_path / "old.pkl")
+    assert np.array_equal(new.shapedirs, read_body_model().shapedirs)
+    assert np.array_equal(new.shapedirs, old.shapedirs)
+    assert np.array_equal(new.fingers.finger_weights, old.fingers.finger_weights)
 
 
 def changed(array, index, value):
