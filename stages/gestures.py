@@ -28,7 +28,7 @@ FACE_NAMES = tuple(
 
 @dataclass(frozen=True)
 class HandsFace:
-    """What the free body of V vertices has beyond SMPL: finger bones, and shapes of a face.
+    """What a body of V vertices has beyond SMPL: finger bones, and shapes of a face, of no points (M = 0) in a user's model.
 
     finger_regressor[40,V] x vertices at rest are the 30 joints of FINGER_NAMES and the 10 tips of those fingers;
     finger_weights[V,30] is what they take of the weights of joints 22 and 23. face_points[M,3] m lie on the head of the mean
@@ -66,7 +66,7 @@ class Face:
 
 @dataclass(frozen=True)
 class HandPoses:
-    """Fingers of the free body in F frames, of the left and the right hand.
+    """Fingers of a body in F frames, of the left and the right hand.
 
     `names` [F]; `turns` [F,2,15,3] rad of the bones as `avatar.body.fingers` takes them, 0: as at rest; `shape` [2,15,3] is their
     median over the frames in which they are read, the pose in which a rigid hand learns. `read` [F,2]: the picture of that frame

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from stages.gestures import Face, Fingers
+from stages.gestures import Face, Fingers, HandsFace
 
 BETAS = 10
 SH_C0 = 0.5 / np.sqrt(np.pi).item()  # a colour is 0.5 + SH_C0 sh0 + higher terms
@@ -84,7 +84,7 @@ class BodyModel:
 
     `v_template` [V,3]; `faces` [T,3] int32; `shapedirs` [V,3,10] m per unit of beta; `posedirs` [V,3,207] m per entry of (R - I),
     zero where the body has none; `J_regressor` [24,V]; `lbs_weights` [V,24], rows sum to 1; `parents` [24], the root's is -1.
-    `keypoint_regressor` [K,V] with `keypoint_names`, where the file has them.
+    `keypoint_regressor` [K,V] with `keypoint_names`, and `fingers`, where the file has them.
     """
 
     v_template: np.ndarray
@@ -96,6 +96,7 @@ class BodyModel:
     parents: np.ndarray
     keypoint_regressor: np.ndarray | None = None
     keypoint_names: tuple[str, ...] | None = None
+    fingers: HandsFace | None = None
     name: str = ""
 
     def sized(self, factor: float) -> BodyModel:
@@ -247,9 +248,8 @@ class Rig(Scene):
     weights[N,4] uint8, a row adds up to 255; kept[N]: the share of all its weights that the four have; bones8[N,8] and
     words8[N,8] uint16, rows adding up to 65535, for who skins with eight, with finger bones after all others; facing[N,3] unit,
     the direction in which each is lit; betas[10]. From 24 on bones are those of `clothes`, if any, as an Avatar's; of what is
-    cloth there are `slopes`.
-    Where there are `fingers`, as an Avatar's, finger_joints[40,3] m are where the bones of FINGER_NAMES begin, as hands lie in the
-    avatar, then tips.
+    cloth there are `slopes`. Where there are `fingers`, as an Avatar's, finger_joints[40,3] m are where the bones of FINGER_NAMES
+    begin, as hands lie in the avatar, then tips.
     """
 
     joints: np.ndarray

@@ -142,8 +142,11 @@ def cast(person: Person, name: str, ground: records.Ground, fps: float, device: 
                 f"{person.motion} is over before its second picture", "a lower `speed:`, or more `fps:`", shown
             )
         placed, facts = by_formula(person.motion, soles, SECONDS, manner.wanted), []
-        if person.motion in GESTURED and (record.fingers is None or record.face is None):
-            facts = [f"{name} moves the body alone: this avatar has no fingers and no face that moves"]
+        lacking = [
+            f"no {what}" for what, has in (("fingers", record.fingers), ("face that moves", record.face)) if has is None
+        ]
+        if person.motion in GESTURED and lacking:
+            facts = [f"{person.motion} is played in part: {name} has {' and '.join(lacking)}"]
     elif person.motion != "clip":
         path = Path(person.motion)
         placed, told = from_file(path, manner, soles, rig.parents.tolist(), model.name if model else "", record.fingers)

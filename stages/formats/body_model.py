@@ -1,29 +1,39 @@
-"""SMPL model files (.pkl, .npz), the free body that comes with the program, and body_model.npz of the smpl stage."""
+"""SMPL, SMPL-H and SMPL-X files (.pkl, .npz), the free body that comes with the program, and body_model.npz of the smpl stage."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.arrays import as_array, checked, read_npz, take
+from stages.formats.arrays import as_array, checked, npz_names, read_npz, take
+from stages.formats.smplx_model import FIRST, as_smpl
 from stages.formats.tool_pickles import read_named
+from stages.gestures import FACE_NAMES, FINGER_NAMES, HandsFace
 from stages.records import BETAS, JOINTS, BodyModel
 
 FREE_BODY = Path(__file__).parent.parent / "estimators" / "free_body.npz"
 
 SMPL, FREE = "SMPL", "free body"
 """Bodies for which poses are made."""
-HINT = "give SMPL_NEUTRAL.pkl (SMPL 1.0 or 1.1, 24 joints) or its .npz, or leave --body-model out to use the free body"
+HINT = (
+    "give SMPL_NEUTRAL.pkl (SMPL 1.0 or 1.1, 24 joints), a model of SMPL-H or SMPL-X, or its .npz, "
+    "or leave --body-model out to use the free body"
+)
 _OTHER_NAMES = {"f": "faces", "weights": "lbs_weights"}
-_SIBLINGS = {52: "an SMPL-H", 55: "an SMPL-X", 16: "a MANO"}
+_KEYS = (
+    *("v_template", "f", "faces", "shapedirs", "posedirs", "J_regressor", "kintree_table", "weights", "lbs_weights"),
+    *("keypoint_regressor", "keypoint_names", "finger_regressor", "finger_weights", "name"),
+)
+"""All that is read of an .npz: SMPL-X files hold pickled names too."""
+_HAND = 16  # joints of a MANO model
 
 
 def read_body_model(path: Path | None = None) -> BodyModel:
-    """Read a body model: SMPL .pkl (runs no pickled code, needs no chumpy), SMPL-format .npz, or None: the free body.
+    """Read a body model: .pkl (runs no pickled code, needs no chumpy) or .npz of SMPL, SMPL-H or SMPL-X, or None: the free body.
 
     Raises StageError naming the key with its found and wanted shape, or the kind of model that the file is.
     """
@@ -32,7 +42,7 @@ def read_body_model(path: Path | None = None) -> BodyModel:
     path = Path(path)
     if not path.is_file():
         raise StageError(f"no body model {path}", HINT)
-    arrays = read_npz(path, HINT) if path.suffix == ".npz" else read_named(path, HINT)
+    arrays = _arrays(path) if path.suffix == ".npz" else read_named(path, HINT)
     return _from_arrays(arrays, path, str(arrays["name"]) if "name" in arrays else path.stem)
 
 
@@ -41,6 +51,8 @@ def write_body_model(path: Path, model: BodyModel) -> None:
     extra: dict[str, Any] = {}
     if model.keypoint_regressor is not None:
         extra = {"keypoint_regressor": model.keypoint_regressor, "keypoint_names": np.array(model.keypoint_names)}
+    if model.fingers is not None:
+        extra |= {name: getattr(model.fingers, name) for name in ("finger_regressor", "finger_weights")}
     parents = model.parents.astype(np.int64) % 2**32
     np.savez_compressed(
         path,
@@ -56,14 +68,22 @@ def write_body_model(path: Path, model: BodyModel) -> None:
     )
 
 
+def _arrays(path: Path) -> dict[str, np.ndarray]:
+    arrays = read_npz(path, HINT, _KEYS)
+    if "J_regressor" not in arrays:
+        facts = [f"it holds {', '.join(npz_names(path)[:20]) or 'nothing'}"]
+        raise StageError(f"{path} has no J_regressor", HINT, facts)
+    return arrays
+
+
 def _from_arrays(arrays: Mapping[str, Any], path: Path, name: str) -> BodyModel:
     def get(key: str, *shape: int | None) -> np.ndarray:
         stored = key if key in arrays else _OTHER_NAMES.get(key, key)
         return checked(take(arrays, stored, path, HINT), shape, stored, path, HINT)
 
     joints = len(np.atleast_1d(as_array(take(arrays, "J_regressor", path, HINT), "J_regressor", path, HINT)))
-    if joints in _SIBLINGS:
-        raise StageError(f"{path} is {_SIBLINGS[joints]} model", HINT, [f"it has {joints} joints, not {JOINTS}"])
+    if joints == _HAND:
+        raise StageError(f"{path} is a MANO model", HINT, [f"it has {joints} joints, not {JOINTS}"])
     v_template = get("v_template", None, 3)
     count = len(v_template)
     shapedirs = get("shapedirs", count, 3, None)
@@ -74,13 +94,15 @@ def _from_arrays(arrays: Mapping[str, Any], path: Path, name: str) -> BodyModel:
     if faces.size and not 0 <= faces.min() <= faces.max() < count:
         facts = [f"they go from {faces.min()} to {faces.max()}"]
         raise StageError(f"faces in {path} point outside its {count} vertices", HINT, facts)
-    weights = get("weights", count, JOINTS).astype(np.float64)
+    weights = get("weights", count, joints if joints in FIRST else JOINTS).astype(np.float64)
     off = np.abs(weights.sum(1) - 1)
     if off.max() > 1e-3 or weights.min() < -1e-6:
         worst = int(off.argmax())
         facts = [f"vertex {worst} sums to {weights[worst].sum():.4f}; the smallest weight is {weights.min():.4g}"]
         raise StageError(f"skinning weights in {path} do not sum to 1", HINT, facts)
-    weights = np.clip(weights, 0, None)
+    if joints in FIRST:
+        arrays = as_smpl(arrays, path, HINT)
+    weights = np.clip(get("weights", count, JOINTS).astype(np.float64), 0, None)
     has_keypoints = "keypoint_regressor" in arrays
     return BodyModel(
         v_template=v_template.astype(np.float32),
@@ -92,7 +114,18 @@ def _from_arrays(arrays: Mapping[str, Any], path: Path, name: str) -> BodyModel:
         parents=_parents(arrays, path),
         keypoint_regressor=get("keypoint_regressor", None, count).astype(np.float32) if has_keypoints else None,
         keypoint_names=tuple(map(str, take(arrays, "keypoint_names", path, HINT))) if has_keypoints else None,
+        fingers=_fingers(get, count) if "finger_weights" in arrays else None,
         name=name,
+    )
+
+
+def _fingers(get: Callable[..., np.ndarray], count: int) -> HandsFace:
+    """Finger bones of a model of `count` vertices, and a face of no points: what moves it has none of FACE_NAMES."""
+    return HandsFace(
+        finger_regressor=get("finger_regressor", len(FINGER_NAMES) + 10, count).astype(np.float32),
+        finger_weights=get("finger_weights", count, len(FINGER_NAMES)).astype(np.float32),
+        face_points=np.zeros((0, 3), np.float32),
+        face_shapes=np.zeros((len(FACE_NAMES), 0, 3), np.float32),
     )
 
 

@@ -1,4 +1,4 @@
-"""hands_face.npz, which comes with the program: finger bones and face of the free body."""
+"""Finger bones and face of a body: those of the free body are in hands_face.npz, which comes with the program."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ HANDS_FACE = Path(__file__).parent.parent / "estimators" / "hands_face.npz"
 
 
 def read_hands_face(body: BodyModel) -> HandsFace | None:
-    """Fingers and face of a `body`; None for one that is not the free body: SMPL models have neither."""
+    """Fingers and face of a `body`: of the free body both, of SMPL-H and SMPL-X fingers; None for SMPL, which has neither."""
     if body.name != FREE:
-        return None
+        return body.fingers
     arrays, count = read_npz(HANDS_FACE), len(body.v_template)
     weights = np.zeros((count, arrays["finger_weights"].shape[1]), np.float32)
     weights[arrays["hand_vertices"]] = arrays["finger_weights"]

@@ -173,6 +173,10 @@ def _with_gestures(avatar: Avatar, clip: Clip, say: Finishing) -> Avatar:
             f"no fingers and no face that moves: the body model {clip.body_model.name} has none, the free body has"
         )
         return avatar
+    if not len(rig.face_points):
+        say.note(
+            f"no face that moves: the body model {clip.body_model.name} has no shapes named as face capture names them"
+        )
     try:
         return attach(avatar, clip.body_model, rig, clip.hand_shape)
     except UNFINISHED as error:

@@ -27,9 +27,9 @@ STILL = 5e-4  # m: a Gaussian that no shape moves further is left out
 def attach(
     avatar: records.Avatar, body: records.BodyModel, rig: gestures.HandsFace, hands: np.ndarray | None = None
 ) -> records.Avatar:
-    """The avatar with fingers and face, learned on a free `body` whose `rig` is of its size.
+    """The avatar with fingers and face, learned on a `body` whose `rig` is of its size; no face where that has no points.
 
-    `hands` [2,15,3] rad is the pose in which fingers were in the clip; None: that of the free body at rest.
+    `hands` [2,15,3] rad is the pose in which fingers were in the clip; None: that of the body at rest.
     """
     model, betas = Body(body), torch.as_tensor(avatar.betas).float()
     vertices, _ = model.rest(betas)
@@ -38,6 +38,8 @@ def attach(
     joints, tips = finger_joints(rig, vertices)
     rows, shares = _fingers(rig, vertices, model.lbs_weights, joints, shape, resting.means, resting.weights)
     fingers = gestures.Fingers(*(part.numpy() for part in (joints, tips, shape, rows, shares)))
+    if not len(rig.face_points):
+        return replace(avatar, fingers=fingers)
     face = _face(rig, face_at(rig, model.v_template, model.shapedirs, betas), resting.means, resting.weights)
     return replace(avatar, fingers=fingers, face=face)
 

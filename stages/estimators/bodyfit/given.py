@@ -10,6 +10,7 @@ import torch
 
 from stages.avatar.body.rotations import matrix_from_rotvec
 from stages.avatar.body.smpl import Body
+from stages.avatar.body.smpl_rest import smpl_rest
 from stages.avatar.cameras.pinhole import project, rescale_viewmats
 from stages.estimators.bodyfit.contact import sole_vertices
 from stages.estimators.bodyfit.fit import KNOWN
@@ -28,6 +29,7 @@ from stages.formats.given_fits.record import SmplFit
 from stages.records import BodyModel, BodyPoses, Cameras
 
 SPARSE = 20  # one vertex of so many stands for the skin
+AWAY = 0.05  # m between two pelvises at rest: bodies of one kind are nearer, SMPL's and SMPL-X's are 0.13 apart
 
 
 def import_fit(fit: SmplFit, clip: Inputs, metres: float | None = None) -> tuple[BodyPoses, dict[str, Any]]:
@@ -41,7 +43,7 @@ def import_fit(fit: SmplFit, clip: Inputs, metres: float | None = None) -> tuple
     fit, frames = join_frames(fit, clip.listing)
     if fit.points is not None:
         fit = from_points(fit, model)
-    if model.name == FREE and fit.body == SMPL:
+    if fit.body == SMPL and (model.name == FREE or (model.fingers is not None and _of_another(fit, model))):
         fit = onto_body(fit, model)
     fit, rows, person = choose_person(fit, frames, cameras, clip.masks, model)
     names = tuple(cameras.names[i] for i in rows)
@@ -62,6 +64,12 @@ def import_fit(fit: SmplFit, clip: Inputs, metres: float | None = None) -> tuple
     if fit.joints2d is not None:
         facts["tool_joints_off"] = _distance_from_tool_joints(fit.joints2d, poses, cameras, rows, model)
     return _fill_gaps(poses, rows, cameras.names, times), facts
+
+
+def _of_another(fit: SmplFit, model: BodyModel) -> bool:
+    """Whether the tool's body, by where its pelvis rests, is another than the user's SMPL-H or SMPL-X `model`."""
+    pelvis = smpl_rest()[0] if fit.pelvis is None else fit.pelvis
+    return bool(np.linalg.norm(model.J_regressor[0] @ model.v_template - pelvis) > AWAY)
 
 
 def _distance_from_tool_joints(

@@ -36,7 +36,7 @@ def onto_body(fit: SmplFit, model: BodyModel) -> SmplFit:
         notes=(
             *fit.notes,
             f"the poses of {fit.tool} are SMPL's, carried over to the {model.name} without their shape; "
-            "give --body-model FILE to keep both",
+            "give SMPL's own file with --body-model to keep both",
         ),
     )
 

@@ -186,6 +186,16 @@ def test_fingers_and_a_face_move_as_made_or_captured(tiny, tmp_path):
     assert opened[0] < 1e-3 < 0.005 < opened[1] and any("take.csv" in fact for fact in actor.facts)
 
 
+def test_an_avatar_without_a_face_counts_to_five_and_the_lack_is_named(tiny, tmp_path):
+    body = read_body_model()
+    record = attach(read_avatar(tiny["train"] / "avatar.npz"), body, read_hands_face(body))
+    write_splats(tmp_path / "avatar.npz", replace(record, face=None))
+    actor = cast(Person(avatar=tmp_path / "avatar.npz", motion="count_to_five"), "a", SLOPE, FPS, "cpu")
+    quiet = PosedAvatar.of(actor.baked, actor.global_orient, actor.body_pose, actor.transl)
+    assert (actor.splats(60).means - quiet.splats(60).means).norm(dim=1).max() > 0.02
+    assert holds(" ".join(actor.facts), "count_to_five", "no face") and "no fingers" not in " ".join(actor.facts)
+
+
 def test_a_face_that_does_not_move_is_refused(run, tmp_path):
     with pytest.raises(StageError, match="no face"):
         cast(Person(avatar=run, motion="wave", face=tmp_path / "take.csv"), "a", SLOPE, FPS, "cpu")

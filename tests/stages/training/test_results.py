@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -11,11 +11,13 @@ import torch
 
 from stages.avatar.model.person import Canonical, rest
 from stages.formats.body_model import read_body_model
+from stages.formats.hands_face import read_hands_face
 from stages.formats.splats import impossible
 from stages.records import BodyModel, BodyPoses
 from stages.training import results
 from stages.training.finishing import settle
 from tests.made.said import holds
+from tests.made.tiny import make_avatar
 from tests.made.training import FRAMES, TRAIN, everything, fit_of, make_clip
 
 clip = pytest.fixture(scope="module")(make_clip)
@@ -45,9 +47,11 @@ class Heard:
     """What was said of a result."""
 
     warnings: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
     def note(self, text: str, at_once: bool = False) -> None:
-        """Not looked at."""
+        """Kept."""
+        self.notes.append(text)
 
     def warn(self, text: str) -> None:
         """Kept."""
@@ -151,3 +155,14 @@ def test_what_cannot_be_done_after_training_is_said_and_the_rest_is_kept(clip, s
         avatar, _, counts, warnings = finished(fit, clip)
         assert not impossible(avatar) and ("strays" in counts) == (what != "finish")
     assert len(warnings) == 1 and warnings[0].endswith("no way")
+
+
+def test_a_users_model_with_fingers_alone_gives_these_and_the_lack_of_a_face_is_said(clip):
+    rig = replace(read_hands_face(FREE), face_points=np.zeros((0, 3)), face_shapes=np.zeros((52, 0, 3)))
+    own = replace(fitted(clip[1]), body_model=replace(FREE, name="SMPLX_NEUTRAL", fingers=rig))
+    heard = Heard()
+    avatar = results._with_gestures(make_avatar(FREE, every=40), own, heard)
+    assert avatar.fingers is not None and avatar.face is None and not heard.warnings
+    assert (
+        len(heard.notes) == 1 and holds(heard.notes[0], "no face", "SMPLX_NEUTRAL") and "finger" not in heard.notes[0]
+    )
