@@ -38,6 +38,6 @@ def made_move(
     return gestures.Move(called, fps, turns, transl, placed.hands, placed.face)
 
 
-def made_moves(ground: records.Ground, soles: Soles, gestured: bool = False) -> list[gestures.Move]:
+def made_moves(ground: records.Ground, soles: Soles, gestured: bool) -> list[gestures.Move]:
     """All motions of the body made by formula, as `made_move`, and with `gestured` those of hands and face."""
     return [made_move(name, ground, soles) for name in (MOTIONS | GESTURED if gestured else MOTIONS)]

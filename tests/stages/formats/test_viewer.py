@@ -149,7 +149,7 @@ def likeness(page: Page | Firefox, folders, motion: int, frame: int, only: str) 
         load_learned(*read_trained(folders["train"])),
     )
     soles = Soles.of_rig(rig_of(read_avatar(folders["train"] / "avatar.npz")))
-    jacks = made_moves(read_ground(folders["smpl"] / "ground.json"), soles)[0]
+    jacks = made_moves(read_ground(folders["smpl"] / "ground.json"), soles, False)[0]
     poses = {
         CLIP: (clip.body.global_orient, clip.body.body_pose, clip.body.transl),
         JACKS: (jacks.rotvecs[:, :3], jacks.rotvecs[:, 3:], jacks.steps),
@@ -189,7 +189,7 @@ def test_clothes_swing_on_the_page_as_they_do_here(page, folders):
         load_learned(*read_trained(folders["train"])),
     )
     soles = Soles.of_model(clip.body_model, clip.body.betas)
-    jacks = made_moves(read_ground(folders["smpl"] / "ground.json"), soles)[0]
+    jacks = made_moves(read_ground(folders["smpl"] / "ground.json"), soles, False)[0]
     ours = [bones_of(learned.avatar, pose[:3], pose[3:]) for pose in torch.as_tensor(jacks.rotvecs[:30]).float()]
     theirs = page.run(
         f"(() => {{ const {{ people: [person], motions }} = hugs.player, motion = motions[{JACKS}];"

@@ -29,8 +29,9 @@ export async function readDropped(file, people) {
 
 /** A BVH's motion by a body {joints, parents, soles, hands}: y up, floor at 0, the first frame over the origin. */
 export function performed(text, { joints, parents, soles, hands: fingers }) {
-  const bvh = parseBvh(text), { hands, broken, ...body } = retarget(bvh, mapBody(bvh), joints, parents, fingers);
-  const said = [bvh.said, broken ? `${broken} finger bones left out` : ""].filter(Boolean).join(", ");
+  const bvh = parseBvh(text), { hands, broken, left, ...body } = retarget(bvh, mapBody(bvh), joints, parents, fingers);
+  const lost = left ? "fingers left out: this avatar has none" : broken ? `${broken} finger bones left out` : "";
+  const said = [bvh.said, lost].filter(Boolean).join(", ");
   return { ...onFloor(faceAhead(body), bvh.fps, soles, joints, parents), hands, fps: bvh.fps, said };
 }
 

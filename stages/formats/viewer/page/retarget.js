@@ -8,7 +8,7 @@ const STANDING = 0.7;
 const FOLLOWERS = [...COLLARS, ...HIPS, ...SHOULDERS, ...KNEES, ...ELBOWS, ...ANKLES, ...WRISTS, ...FEET, ...HANDS];
 
 /** Local turns of SMPL's joints a frame [F][24], the middle of the hips [F][3], how long the legs are, and of a body with `fingers`
- * what these do. */
+ * what these do; without, how many of the file are `left` out. */
 export function retarget(bvh, { limbs, pelvis, spine, neck }, joints, parents, fingers) {
   const rest = Array.from({ length: 24 }, (_, i) => t.row(joints, i));
   const still = { places: bvh.frames[0].places, turns: bvh.names.map(() => t.IDENTITY) };
@@ -49,8 +49,8 @@ export function retarget(bvh, { limbs, pelvis, spine, neck }, joints, parents, f
   const turns = world.slice(1).map((out) =>
     out.map((turn, joint) => (joint ? t.mul(t.transpose(out[parents[joint]]), turn) : turn)));
   const hips = at.slice(1).map((place) => t.middle(place[HIPS[0]], place[HIPS[1]]));
-  const chains = fingers ? mapFingers(bvh, limbs) : new Map(), palms = world.map((out) => HANDS.map((hand) => out[hand]));
-  const bent = chains.size ? bend(frames, reference, chains, palms, fingers) : {};
+  const chains = mapFingers(bvh, limbs), palms = world.map((out) => HANDS.map((hand) => out[hand]));
+  const bent = fingers && chains.size ? bend(frames, reference, chains, palms, fingers) : { left: chains.size };
   return { turns, hips, leg: legOf(at[reference]), ...bent };
 }
 

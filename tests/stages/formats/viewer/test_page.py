@@ -228,6 +228,16 @@ def test_a_dropped_bvh_is_played_with_its_fingers(still, record, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_body_without_fingers_leaves_those_of_a_file_out_and_says_so(page, record, tmp_path):
+    text = json.dumps(write_waving(tmp_path / "waving.bvh", record, "mixamo").read_text())
+    bare = "const { joints, parents, soles } = hugs.player.people[0]"
+    found = page.run(
+        f"import('hugs/dropped').then((it) => {{ {bare}; return it.performed({text}, {{ joints, parents, soles }}).said; }})"
+    )
+    assert found == "fingers left out: this avatar has none"
+
+
+@pytest.mark.slow
 def test_a_finger_that_turns_too_far_follows_the_bone_above_as_animate_has_it(page, record, tmp_path):
     path, rig = write_waving(tmp_path / "waving.bvh", record, "mixamo"), rig_of(record)
     lines = path.read_text().splitlines()
