@@ -1,4 +1,4 @@
-"""Independent programs that judge our files, from npm: installed once into the user's cache, in these versions."""
+"""Independent programs that judge our files: installed once into the user's cache, in these versions."""
 
 from __future__ import annotations
 
@@ -6,10 +6,14 @@ import fcntl
 import hashlib
 import json
 import os
+import platform
 import shutil
 import subprocess
+import sys
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -22,6 +26,8 @@ PACKAGES = {
     "three": "0.187.0",
 }
 FOLDER = "HUGS_NODE_MODULES"  # the environment variable that names a folder which has them already
+BLENDER = {(3, 11): "5.0.1", (3, 13): "5.3.0"}
+"""Python -> the bpy of it."""
 
 
 @cache
@@ -32,6 +38,18 @@ def modules() -> Path:
     if missing := [name for name in ("node", "npm") if shutil.which(name) is None]:
         pytest.skip(f"{' and '.join(missing)} is not installed: no judge from npm")
     wanted = json.dumps({"private": True, "dependencies": PACKAGES})
+
+    def install(part: Path) -> None:
+        (part / "package.json").write_text(wanted)
+        command = "npm install --no-audit --no-fund --ignore-scripts --no-package-lock --loglevel=error".split()
+        said = subprocess.run(command, cwd=part, capture_output=True, text=True)
+        assert said.returncode == 0, f"npm cannot install the judges: {said.stderr}"
+
+    return _once(wanted, install) / "node_modules"
+
+
+def _once(wanted: str, install: Callable[[Path], None]) -> Path:
+    """The folder of the user's cache in which `install` has put what is `wanted`."""
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hugs"
     folder = home / f"judges-{hashlib.sha256(wanted.encode()).hexdigest()[:8]}"
     home.mkdir(parents=True, exist_ok=True)
@@ -41,12 +59,33 @@ def modules() -> Path:
             part = folder.with_name(f"{folder.name}.part")
             shutil.rmtree(part, ignore_errors=True)
             part.mkdir()
-            (part / "package.json").write_text(wanted)
-            command = "npm install --no-audit --no-fund --ignore-scripts --no-package-lock --loglevel=error".split()
-            said = subprocess.run(command, cwd=part, capture_output=True, text=True)
-            assert said.returncode == 0, f"npm cannot install the judges: {said.stderr}"
+            install(part)
             part.rename(folder)
-    return folder / "node_modules"
+    return folder
+
+
+def blender(script: str, *arguments: str | Path) -> Any:
+    """What a script of tests/tools prints as JSON in its last line, run by Blender's Python package; the test is skipped where
+    there is none for this Python.
+    """
+    if (version := BLENDER.get(sys.version_info[:2])) is None:
+        pytest.skip(f"no bpy for Python {platform.python_version()}")
+    wanted = f"bpy=={version}"
+
+    def install(part: Path) -> None:
+        command = [sys.executable, "-m", "pip", "install", "--quiet", "--target", str(part), wanted]
+        said = subprocess.run(command, capture_output=True, text=True)
+        assert said.returncode == 0, f"pip cannot install {wanted}: {said.stderr}"
+
+    place = Path(__file__).parents[1] / "tools" / script
+    said = subprocess.run(
+        [sys.executable, str(place), *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(_once(wanted, install))},
+    )
+    assert said.returncode == 0, said.stderr
+    return json.loads(said.stdout.strip().splitlines()[-1])
 
 
 def node(*arguments: str | Path) -> str:

@@ -1,10 +1,6 @@
 """avatar.glb: one textured mesh on a skeleton that other programs skin, pose and open as we do."""
 
-import json
-import os
-import subprocess
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -144,10 +140,6 @@ def test_three_js_draws_the_textured_mesh_as_it_is_posed(file, tmp_path):
 
 @pytest.mark.slow
 def test_blender_poses_the_mesh_as_we_do_and_its_bones_lie_along_the_limbs(tmp_path, held):
-    """Where HUGS_BLENDER_PYTHON names a Python that has bpy."""
-    python = os.environ.get("HUGS_BLENDER_PYTHON")
-    if not python:
-        pytest.skip("HUGS_BLENDER_PYTHON names no Python with bpy")
     avatar, mesh = make_avatar(MODEL), body_mesh(MODEL)
     rig, truth = rig_of(avatar), {}
     takes, pose, baked = made_takes(rig.joints[0]), 60, load_avatar(avatar)
@@ -159,11 +151,7 @@ def test_blender_poses_the_mesh_as_we_do_and_its_bones_lie_along_the_limbs(tmp_p
         there, _ = skin(torch.as_tensor(mesh.vertices), weights, bones_of(baked, orient, body_pose))
         truth[f"{take.name}_body"] = (there + step).numpy()
     np.savez(tmp_path / "truth.npz", **truth)
-    script = Path(__file__).parents[3] / "tools" / "in_blender.py"
-    command = [python, str(script), str(tmp_path / "a.glb"), str(tmp_path / "truth.npz")]
-    plain = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-    said = subprocess.run(command, capture_output=True, text=True, check=True, env=plain).stdout
-    found = json.loads(said.strip().splitlines()[-1])
+    found = judges.blender("in_blender.py", tmp_path / "a.glb", tmp_path / "truth.npz")
     assert set(found["motions"]) == {take.name for take in takes}
     assert set(found["bones"]) == set(bone_names("smpl"))
     for name, away in found["motions"].items():

@@ -1,11 +1,7 @@
 """BVH as it is written: our reader and our retargeting find the same joints, Blender too."""
 
-import json
-import os
 import re
-import subprocess
 from dataclasses import replace
-from pathlib import Path
 from typing import get_args
 
 import numpy as np
@@ -27,6 +23,7 @@ from stages.formats.exchange.motion_bvh import write_motion_bvh
 from stages.formats.hands_face import read_hands_face
 from stages.formats.motions.bvh import read_bvh
 from stages.records import JOINT_NAMES, Take
+from tests.made import judges
 from tests.made.tiny import make_avatar
 
 FLOOR = -1.1
@@ -156,17 +153,9 @@ def test_bones_without_a_child_end_above_the_head_ahead_of_the_toes_and_beyond_t
 
 @pytest.mark.slow
 def test_blender_moves_the_bones_as_we_do(tmp_path):
-    """Where HUGS_BLENDER_PYTHON names a Python that has bpy."""
-    python = os.environ.get("HUGS_BLENDER_PYTHON")
-    if not python:
-        pytest.skip("HUGS_BLENDER_PYTHON names no Python with bpy")
     take = tumbling()
     write_motion_bvh(tmp_path / "a.bvh", RIG, take, floor=FLOOR)
-    script = Path(__file__).parents[3] / "tools" / "bvh_in_blender.py"
-    plain = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-    command = [python, str(script), str(tmp_path / "a.bvh")]
-    said = subprocess.run(command, capture_output=True, text=True, check=True, env=plain).stdout
-    found = json.loads(said.strip().splitlines()[-1])
+    found = judges.blender("bvh_in_blender.py", tmp_path / "a.bvh")
     assert set(found) == set(JOINT_NAMES)
     heads = np.stack([found[name] for name in JOINT_NAMES], 1)
     assert np.abs(heads - where(take)[0] + [0, FLOOR, 0]).max() < 1e-3, "m, z up as Blender has it"
