@@ -7,25 +7,30 @@ import time
 
 from hugs_cli.cache.child import processors
 
-TRIED = 0.4
-"""Seconds for which every processor is kept busy to see what is left of it."""
+TRIED = 0.3
+"""Seconds for which processors are kept busy to see what is left of them."""
 LEAST = 0.02
 """The least share: less cannot be measured in that time."""
 
 
-def share() -> float:
-    """Share of its processors that the machine gives to one more program, from LEAST up to 1: all of them, when nothing else runs.
+def shares() -> tuple[float, float]:
+    """Shares of its time that one more program gets, from LEAST up to 1: if it computes on one processor, and on all.
 
-    As many processes as there are processors compute for TRIED seconds; theirs is the time of processors that they got.
+    They are 1 where nothing else runs. Other work slows what one processor does less than what all do.
     """
-    began, tasks = time.monotonic(), []
-    for _ in range(processors()):
+    return _share(1), _share(processors())
+
+
+def _share(tasks: int) -> float:
+    """Share of the time that so many tasks get which compute at once, from LEAST up to 1."""
+    began, running = time.monotonic(), []
+    for _ in range(tasks):
         if (task := os.fork()) == 0:
             try:
                 while time.monotonic() < began + TRIED:
                     pass
             finally:  # Ctrl-C reaches it, too: only its parent says so
                 os._exit(0)
-        tasks.append(task)
-    got = sum(os.wait4(task, 0)[2].ru_utime for task in tasks)
-    return min(1.0, max(LEAST, got / (TRIED * len(tasks))))
+        running.append(task)
+    got = sum(os.wait4(task, 0)[2].ru_utime for task in running)
+    return min(1.0, max(LEAST, got / (TRIED * tasks)))

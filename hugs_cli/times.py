@@ -73,11 +73,13 @@ class Guess(NamedTuple):
 USUAL: dict[str, tuple[Sizes, dict[str, float]]] = {
     "default": (Sizes(), {"frames": 2.0, "masks": 16.0, "sfm": 14.0, "smpl": 15.0, "survey": 6.0, "train": 242.0,
                           "export": 9.0, "render": 9.0, "evaluate": 31.0}),
-    "preview": (Sizes(20, 267 * 480, 200), {"frames": 1.3, "masks": 7.0, "sfm": 3.0, "smpl": 11.5, "survey": 6.0,
-                                            "train": 21.0, "export": 2.0, "render": 3.8, "evaluate": 2.6}),
+    "preview": (Sizes(20, 267 * 480, 200), {"frames": 1.1, "masks": 6.2, "sfm": 2.8, "smpl": 11.7, "survey": 4.9,
+                                            "train": 18.2, "export": 1.9, "render": 3.4, "evaluate": 2.2}),
 }  # fmt: skip
 """Pipeline -> sizes, and seconds of its stages; others are as `default`. The phone clip, 2 idle cores, November 2026: 5 min 45 s,
 shared out as in runs beside other work (docs/lab/2026-11/pipelines-and-people.md)."""
+TOGETHER, USUALLY = {"train": 0.9, "masks": 0.7, "evaluate": 0.7, "smpl": 0.1, "survey": 0.2}, 0.4
+"""Of its time, what a stage keeps all processors busy: `preview` beside two busy processes, 2 cores of Zen 4, November 2026."""
 COMPILING = 34.0  # s in which a training compiles kernels; `preview`, then again, 2 idle cores of Zen 4, November 2026
 
 
@@ -121,9 +123,16 @@ def sizes_of(session: Session, picked: bool) -> Sizes:
 
 
 @cache
-def free() -> float:
-    """Share of its processors that the machine has for this process, as it was at first."""
-    return busy.share()
+def free() -> tuple[float, float]:
+    """Shares of its time that the machine has for one of its processors and for all of them, as they were at first."""
+    return busy.shares()
+
+
+def slowed(stage: str) -> float:
+    """How many times as long a stage takes as if nothing else ran."""
+    one, every = free()
+    share = TOGETHER.get(stage, USUALLY)
+    return share / every + (1 - share) / one
 
 
 def folder() -> Path:
@@ -155,7 +164,7 @@ def learn(session: Session, stage: Stage, seconds: float, device: str, compiling
     """
     if seconds - compiling < SHORT or stage.params.model_dump().get("seconds"):
         return
-    alone, sizes = (seconds - compiling) * free(), sizes_of(session, True)
+    alone, sizes = (seconds - compiling) / slowed(stage.name), sizes_of(session, True)
     row = Row(stage.name, stage.module, session.pipeline.name, device, processors(), sizes, alone)
     with suppress(OSError):  # a full disk: the next guess is a little worse
         folder().mkdir(parents=True, exist_ok=True)
@@ -203,8 +212,12 @@ class Times:
         if first:
             more = {name: self.compiling(stages[name]) for name in todo}
             found = {name: Guess(one.seconds + more[name], one.off, more[name]) for name, one in found.items()}
-        share = free() if now and sum(one.seconds for one in found.values()) > WORTH else 1.0
-        return {name: Guess(one.seconds / share, one.off, one.compiling / share) for name, one in found.items()}
+        if not now or sum(one.seconds for one in found.values()) <= WORTH:
+            return found
+        slow = {name: slowed(name) for name in found}
+        return {
+            name: Guess(slow[name] * one.seconds, one.off, slow[name] * one.compiling) for name, one in found.items()
+        }
 
 
 def _slow(row: Row) -> float:

@@ -104,13 +104,13 @@ class Promise:
         stage = self.session.pipeline.stages["train"]
         train = known.alone(self.session, stage, sizes).seconds + known.compiling(stage)
         least = 0.0 if begun else train + STAGE_START * (1 + len(self._after()))
-        free = times.free() if missing or not begun else 1.0
+        slow = times.slowed("train") if missing or not begun else 1.0
         ahead = known.forecast(self.session, [*missing, "train", *self._after()])
         rest = sum(one.seconds for name, one in ahead.items() if name != "train")
-        fitted = ahead["train"]._replace(seconds=max(self.seconds - rest, least / free), compiling=0.0)
+        fitted = ahead["train"]._replace(seconds=max(self.seconds - rest, slow * least), compiling=0.0)
         console.countdown = Countdown((ahead | {"train": fitted}).items())
-        before = sum(one.seconds for one in known.forecast(self.session, missing, now=False).values())
-        return {"before": round(before / free, 1), "from": round(least / free, 1), "share": round(free, 2)}
+        before = sum(ahead[name].seconds for name in missing)
+        return {"before": round(before, 1), "from": round(slow * least, 1), "share": round(1 / slow, 2)}
 
     def _say_what_does_not_fit(self, guess: dict[str, float], console: Console) -> None:
         needed = guess["before"] + guess["from"]

@@ -15,24 +15,24 @@ from hugs_cli.cache.child import processors
 
 
 @pytest.mark.slow
-def test_a_share_falls_when_others_compute():
+def test_shares_fall_when_others_compute():
     """Three times as many others as processors leave a quarter, of whatever is left here now."""
-    alone = busy.share()
+    alone = busy.shares()
     others = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(3 * processors())]
     try:
-        beside = min(busy.share() for _ in range(3))
+        beside = [min(share) for share in zip(*(busy.shares() for _ in range(3)))]
     finally:
         for other in others:
             other.kill()
             other.wait()
-    assert 0 < beside < alone <= 1
+    assert all(0 < less < more <= 1 for less, more in zip(beside, alone, strict=True))
 
 
 def test_who_gets_nothing_has_a_share_to_divide_by(monkeypatch):
     idle = type("Usage", (), {"ru_utime": 0.0})
     wait = os.waitpid
     monkeypatch.setattr(busy.os, "wait4", lambda task, flags: (*wait(task, flags), idle))
-    assert 0 < busy.share() < 0.1
+    assert all(0 < share < 0.1 for share in busy.shares())
 
 
 STOPPED = """
@@ -44,7 +44,7 @@ signal.signal(signal.SIGINT, stop)
 busy.processors, busy.TRIED = lambda: 2, 20
 print("begun", flush=True)
 try:
-    busy.share()
+    busy.shares()
 except InterruptedError:
     print("stopped", flush=True)
 """

@@ -237,7 +237,7 @@ def test_results_within_a_time_are_kept_when_only_code_changes(timed):
 
 @pytest.mark.parametrize("given", [1.0, 0.5, 0.2])
 def test_a_busy_machine_is_part_of_the_first_guess(clip, monkeypatch, given):
-    monkeypatch.setattr(times, "free", lambda: given)
+    monkeypatch.setattr(times, "free", lambda: (given, given))
     monkeypatch.setattr(times, "kept", list)
     monkeypatch.syspath_prepend(clip.folder)
     run = options.RunOptions(pipeline="tiny", work=clip.work, pipelines_file=clip.folder / "pipelines.yaml")
