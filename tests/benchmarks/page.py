@@ -50,7 +50,7 @@ def line(clip: str, pipeline: str, row: dict[str, Any]) -> str:
     poses = f"farthest: {far}" if "poses" not in back and far != NOWHERE else poses
     cells = [
         clip,
-        f"`{' '.join((pipeline, *row['options']))}`",
+        f"`{pipeline}`",
         duration(60 * row["minutes"]),
         f"{row['gib']:.1f} GiB",
         scored(row["heldout"], "full"),

@@ -31,6 +31,7 @@ from stages.avatar.measures.lpips import Lpips
 from stages.estimators.assets import fetch
 from tests.benchmarks import page
 from tests.benchmarks.host import machine
+from tests.benchmarks.promises import judged
 from tests.made import held_out
 from tests.made.command import ROOT
 
@@ -41,18 +42,17 @@ METRICS = ("psnr", "ssim", "lpips")
 
 
 class Clip(NamedTuple):
-    """A film in the folder of clips; `truth` reads what its folder knows; `options` are further ones of `hugs run`."""
+    """A film in the folder of clips; `truth` reads what its folder knows."""
 
     video: str
     truth: Callable[[Path], held_out.Truth] | None = None
-    options: tuple[str, ...] = ()
 
 
 SYNTHETIC = "synthetic"
 CLIPS = {
     "kitchen": Clip("kitchen/kitchen.mp4"),
     "courtyard": Clip("courtyard/video.mp4", held_out.clip_truth),
-    "spin": Clip("spin/video.mp4", held_out.clip_truth, ("--set", "sfm.camera=fixed")),
+    "spin": Clip("spin/video.mp4", held_out.clip_truth),
     "juggler": Clip("static_camera/juggle.mp4"),
     "treadmill": Clip("treadmill/cam01.mp4"),
 }
@@ -65,23 +65,26 @@ def here(folder: Path | None) -> list[str]:
 
 def run(name: str, pipeline: str, work: Path, folder: Path | None, lpips: Lpips) -> dict[str, Any]:
     """One row: what `hugs run` takes and reaches; `failed` with its last line in place of all if it ends with an error."""
-    place, options = work / name, ["--pipeline", pipeline, "--work", str(work / name)]
+    place = work / name
     if name == SYNTHETIC:
-        video, command, more = place / "clip" / "synthetic" / "clip.mp4", ["demo"], ()
+        video, command = place / "clip" / "synthetic" / "clip.mp4", ["demo"]
         truth: Callable[[], held_out.Truth] | None = partial(held_out.synthetic_truth, video.parent / "truth")
     else:
         assert folder is not None
         clip, video = CLIPS[name], folder / CLIPS[name].video
-        command, more = ["run", str(video), "--seed", str(SEED)], clip.options
+        command = ["run", str(video), "--seed", str(SEED)]
         truth = partial(clip.truth, video.parent) if clip.truth else None
-    hugs = [sys.executable, "-c", "from hugs_cli import main; main()"]
-    done = subprocess.run([*hugs, *command, *options, *more], cwd=ROOT, capture_output=True, text=True)
+    place.mkdir(parents=True, exist_ok=True)
+    heard = place / f"{pipeline}.json"
+    hugs = [sys.executable, "-m", "tests.benchmarks.watched", str(heard), *command, "--pipeline", pipeline]
+    done = subprocess.run([*hugs, "--work", str(place)], cwd=ROOT, capture_output=True, text=True)
     if done.returncode:
         said = [line.strip() for line in done.stderr.splitlines() if line.strip()]
         return {"failed": next((line for line in said if line.startswith("error")), (said or ["no word"])[-1])}
-    (place / f"{pipeline}.log").write_text(done.stderr)  # with the guess of how long it takes
     results = place / video.stem / pipeline
-    row = facts(results) | {"options": list(more)}
+    row, countdown = facts(results), json.loads(heard.read_bytes())
+    if countdown["said"]:  # not of a run that was finished before
+        row["countdown"] = judged(**countdown)
     if truth is not None:
         finished = held_out.Finished(results, video)
         row["held_back"] = held_out.rate(finished, truth(), lpips, work / "drawn" / name / pipeline, place)

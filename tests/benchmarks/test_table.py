@@ -12,13 +12,11 @@ from tests.made.held_out import Shot, Stance, before_standing_camera
 SCORES = {"psnr": 29.2046, "ssim": 0.93381, "lpips": 0.07965}
 NOTHING = dict.fromkeys(SCORES)
 ROW = {
-    "options": [],
     "minutes": 17.55,
     "gib": 1.447,
     "heldout": {"full": SCORES, "person_crop": SCORES | {"psnr": 26.79}, "person_white": SCORES},
 }
 STANDS = ROW | {
-    "options": ["--set", "sfm.camera=fixed"],
     "heldout": {"full": NOTHING, "person_crop": NOTHING, "person_white": SCORES},
     "held_back": {"poses": {"person_white": SCORES | {"psnr": 19.24}}},
 }
