@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,7 +22,7 @@ import hugs
 from hugs_cli.cache.workspace import Stamp
 from stages import train
 from stages.contract import Job
-from stages.training.finishing import bake, hidden
+from stages.training.finishing import bake, hidden, settle
 from tests.made.command import ROOT
 from tests.tools.gallery import QUALITY, beside, sheet
 
@@ -45,21 +46,33 @@ RECOLOR = bake.recolor
 Drawn = Callable[[hugs.Avatar], np.ndarray]
 
 
-def turned(avatar: hugs.Avatar, pose: np.ndarray, angle: float) -> np.ndarray:
+def turned(
+    avatar: hugs.Avatar, pose: np.ndarray, angle: float, focal: float = 480, target: tuple[float, ...] = (0, -0.25, 0)
+) -> np.ndarray:
     """The person [H,W,3] before GREEN in a pose [69] rad, seen from `angle` rad beside the front."""
     eye = (2.9 * np.sin(angle), -0.1, 2.9 * np.cos(angle))
     person = avatar.pose(pose, np.zeros(3), np.zeros(3))
-    camera = hugs.camera(eye=eye, target=(0, -0.25, 0), focal=480, width=SIZE[0], height=SIZE[1])
+    camera = hugs.camera(eye=eye, target=target, focal=focal, width=SIZE[0], height=SIZE[1])
     return np.asarray(hugs.draw(person, camera, background=GREEN).image)
 
 
-def kick(avatar: hugs.Avatar) -> np.ndarray:
+def kick(avatar: hugs.Avatar, **close: Any) -> np.ndarray:
     """A knee lifted and both arms up, from aside."""
     pose = np.zeros((23, 3))
     for joint, turn in {"left_hip": (-1.5, 0, 0.3), "left_knee": (1.4, 0, 0), "left_shoulder": (0, 0, 0.9)}.items():
         pose[hugs.JOINT_NAMES.index(joint) - 1] = turn
     pose[hugs.JOINT_NAMES.index("right_shoulder") - 1] = 0, 0, -0.9
-    return turned(avatar, pose.reshape(69), 0.9)
+    return turned(avatar, pose.reshape(69), 0.9, **close)
+
+
+def knee(avatar: hugs.Avatar) -> np.ndarray:
+    """That knee."""
+    return kick(avatar, focal=1700, target=(0.1, -0.55, 0.1))
+
+
+def thigh(avatar: hugs.Avatar) -> np.ndarray:
+    """A thigh from the side, which no frame shows straight."""
+    return turned(avatar, np.zeros(69), 1.2, 1500, (0.05, -0.5, 0))
 
 
 def behind(avatar: hugs.Avatar) -> np.ndarray:
@@ -76,6 +89,8 @@ def room(avatar: hugs.Avatar) -> np.ndarray:
 
 IDEAS: dict[str, tuple[Any, dict[str, Any], Drawn]] = {
     "lining": (bake, {"add_lining": lambda person, *rest: person}, kick),
+    "surface": (bake, {"snap_to_surface": lambda person, *rest: (person, Counter())}, knee),
+    "even colours": (settle, {"EVEN": 0.0}, thigh),
     "recolouring": (bake, {"recolor": as_they_are}, behind),
     "patches": (hidden, {"complete": telea}, room),
 }

@@ -32,7 +32,7 @@ NEAR = 0.02  # metres: where no sure one is nearer, a Gaussian is hidden
 COMPANY = 8  # neighbours of a Gaussian of a surface
 APART = 1.2  # times as far from them as a body vertex from its own: such a Gaussian floats, if also SMALL
 SMALL = 5.0  # times its own size away from them
-SHORT = 1.2  # times its first length, an axis, which settling may double: longer is a spike where no frame looks from
+SHORT = 2.0  # times its first length, an axis, which settling may double: longer is haze or a spike where no frame looks from
 THICK = 0.02  # metres across the skin: a haze when seen from the side. The body's own are 0.018 at most, most 0.005
 
 

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from stages.avatar.drawing.cast import Cast
 from stages.avatar.effects.motion_blur import BlurredRendering
-from stages.avatar.model.human import COLOR
 from stages.avatar.model.person import Canonical, Resting, rest
 from stages.avatar.rasterize import Layer, Rendering
 from stages.avatar.splats.neighbours import nearest
@@ -26,7 +25,6 @@ ALONE = 0.5  # weight of the person alone, beside that of person and scene toget
 DOUBLE = 0.7  # log of the factor by which a size changes at most
 EVEN, NEIGHBOURS = 0.1, 6  # weight of the difference of colours that frames see aslant from those of so many neighbours
 SEAM = 0.1  # difference of colours [SH] from which on its cost grows no faster: seams stay
-PULL = 0.1 * losses.REGULAR  # on changes: what frames hardly show would change as much as the rest
 
 
 class Change(NamedTuple):
@@ -61,11 +59,6 @@ class Change(NamedTuple):
             opacities=self.opaque(person.opacities),
             sh=person.sh + self.sh,
         )
-
-    def pull(self) -> Tensor:
-        """The mean squared change, of places in units of ROUGH."""
-        flat = [COLOR * self.sh.square().sum((1, 2)), self.opacity.square(), self.size.square().sum(1)]
-        return (sum(flat) + (self.place / losses.ROUGH).square().sum(1)).mean()
 
 
 def settle(
@@ -109,7 +102,7 @@ def settle(
         drawn: dict[str, Rendering | BlurredRendering] = dict(zip(layers, pictures))
         gains = torch.ones_like(background) if views.gains is None else views.gains[i]
         clear, target = 1 - (everybody - mask)[crop], (image[crop], mask[crop], background)
-        loss = PULL * held.pull() + EVEN * uneven(person.sh + held.sh, near, known.aslant)
+        loss = EVEN * uneven(person.sh + held.sh, near, known.aslant)
         if "person" in drawn:
             alone = drawn["person"].image, drawn["person"].alpha
             shown = losses.compared(*alone, gains, clear, cast.effects.blurs, target)

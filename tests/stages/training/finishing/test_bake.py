@@ -218,7 +218,7 @@ def test_long_axes_are_cut_and_the_others_stay(standing):
 def test_finishing_cuts_axes_by_the_length_they_began_with(standing):
     person, where = standing
     needles, most = person.scales.clone(), bake.SHORT * person.scales.amax(1)
-    needles[::3, 1] *= 1.5
+    needles[::3, 1] *= 2.5
     long = person._replace(scales=needles)
     done, stay = (
         bake.finish(long, person, where, views(silhouettes(person, where)), [0, 1, 2]),
