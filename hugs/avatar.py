@@ -181,7 +181,7 @@ class Avatar:
 
     def _has(self, what: str, part: object) -> None:
         if part is None:
-            facts = ["avatars of earlier versions, or on the body of an SMPL model, have none"]
+            facts = ["old avatars and those on SMPL have neither fingers nor face, those on SMPL-H and SMPL-X no face"]
             raise StageError(f"the avatar {self.name} has no {what}", "train it again, without --body-model", facts)
 
     @cached_property

@@ -14,15 +14,15 @@ LEAST = 0.02
 
 
 def shares() -> tuple[float, float]:
-    """Shares of its time that one more program gets, from LEAST up to 1: if it computes on one processor, and on all.
+    """Shares of processor time that one more program gets, from LEAST up to 1: on one processor, and on all.
 
-    They are 1 where nothing else runs. Other work slows what one processor does less than what all do.
+    On an idle machine both are 1. Other work slows a program on one processor less than one on all.
     """
     return _share(1), _share(processors())
 
 
 def _share(tasks: int) -> float:
-    """Share of the time that so many tasks get which compute at once, from LEAST up to 1."""
+    """Share of processor time that so many tasks get at once, from LEAST up to 1."""
     began, running = time.monotonic(), []
     for _ in range(tasks):
         if (task := os.fork()) == 0:

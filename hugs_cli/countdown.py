@@ -12,8 +12,8 @@ RECENT = 1 / 3  # of the time so far: what the speed is read from, so that a mac
 FINE = 1 / 200  # of the time so far: marks lie no closer
 SOON = 2.0  # s, before which no speed is read
 LATE, LEAST = 0.15, 1.0  # of the time since something was heard, and s: what ought to be over takes that long at least
-SURE = 0.3  # of all that was guessed: steps counted for less time show less, since some steps are longer
-GUESSED = 0.05  # of all that was guessed: the guess counts as much as what was seen of so much
+SURE = 0.3  # of the guessed whole: steps counted for less time weigh less, since steps differ in length
+GUESSED = 0.05  # of the guessed whole: when stages of so much have ended, their times and the guess weigh the same
 
 
 @dataclass
@@ -52,7 +52,7 @@ class Progress:
     at: float = 0.0
     marks: Marks = field(default_factory=Marks)
     stepped: float | None = None
-    """When something was done at first, and so its kernels were compiled."""
+    """When its first step was done, and so its kernels were compiled."""
 
     @property
     def done(self) -> float:
@@ -128,8 +128,7 @@ class Countdown:
         return min(1.0, (seen[-1][0] - seen[0][0]) / (SURE * self._whole)) if seen else 0.0
 
     def _slow(self, guess: Guess, sure: float, progress: Progress, now: float) -> float:
-        """How many times as long as guessed stages take: those that have ended, and the running one, from a while ago until it
-        ends by its own number."""
+        """How many times as long as guessed stages take: those that have ended, and the running one, by its own number."""
         took, guessed, own, mark = self.took, self.guessed, progress.left(now), progress.marks.since()
         if own is not None and mark and (ahead := 1 - mark[1] / max(progress.event["total"], 1)) > 0:
             took += sure * progress.done * (now - mark[0] + own) / ahead

@@ -74,7 +74,7 @@ AnyPipeline = Annotated[str | None, WHICH]
 PipelinesFile = Annotated[Path, Option(help="Read pipelines from this file.", show_default="pipelines.yaml")]
 Settings = Annotated[list[str] | None, Option("--set", metavar="STAGE.PARAM=VALUE", help="Change one setting.")]
 Work = Annotated[Path, Option(help="Results folder, with a folder for each clip.")]
-BodyModel = Annotated[Path | None, Option(help="SMPL model (.pkl, .npz) in place of the free body.")]
+BodyModel = Annotated[Path | None, Option(help="SMPL, SMPL-H or SMPL-X model (.pkl, .npz) in place of the free body.")]
 Seed = Annotated[
     int | None,
     Option(min=0, max=MAX_SEED, help="Random seed; results are cached per seed.", show_default="0"),

@@ -66,7 +66,7 @@ class Guess(NamedTuple):
 
     @property
     def running(self) -> float:
-        """Seconds without these."""
+        """Seconds without `compiling`."""
         return self.seconds - self.compiling
 
 
@@ -79,7 +79,7 @@ USUAL: dict[str, tuple[Sizes, dict[str, float]]] = {
 """Pipeline -> sizes, and seconds of its stages; others are as `default`. The phone clip, 2 idle cores, November 2026: 5 min 45 s,
 shared out as in runs beside other work (docs/lab/2026-11/pipelines-and-people.md)."""
 TOGETHER, USUALLY = {"train": 0.9, "masks": 0.7, "evaluate": 0.7, "smpl": 0.1, "survey": 0.2}, 0.4
-"""Of its time, what a stage keeps all processors busy: `preview` beside two busy processes, 2 cores of Zen 4, November 2026."""
+"""Share of its time in which a stage uses all processors: `preview` beside two busy processes, 2 cores of Zen 4, November 2026."""
 COMPILING = 34.0  # s in which a training compiles kernels; `preview`, then again, 2 idle cores of Zen 4, November 2026
 
 
@@ -124,12 +124,12 @@ def sizes_of(session: Session, picked: bool) -> Sizes:
 
 @cache
 def free() -> tuple[float, float]:
-    """Shares of its time that the machine has for one of its processors and for all of them, as they were at first."""
+    """`busy.shares`, measured once."""
     return busy.shares()
 
 
 def slowed(stage: str) -> float:
-    """How many times as long a stage takes as if nothing else ran."""
+    """How many times as long a stage takes now as on the idle machine."""
     one, every = free()
     share = TOGETHER.get(stage, USUALLY)
     return share / every + (1 - share) / one
@@ -203,16 +203,15 @@ class Times:
         slow = median(map(_slow, same)) if same else self.pace
         return Guess(slow * usual(name, stage.name, sizes), OFF.get(len(same), FEW))
 
-    def forecast(self, session: Session, todo: Iterable[str], now: bool = True, first: bool = True) -> dict[str, Guess]:
-        """Of stages to do, in their order; as busy as the machine is `now`, or as if nothing else ran. `first`: no other run
-        compiles their kernels before."""
+    def forecast(self, session: Session, todo: Iterable[str], first: bool = True) -> dict[str, Guess]:
+        """Of stages to do, in their order, as busy as the machine is now. `first`: no other run compiles their kernels before."""
         todo = list(todo)
         sizes, stages = sizes_of(session, "frames" not in todo), session.pipeline.stages
         found = {name: self.alone(session, stages[name], sizes) for name in todo}
         if first:
             more = {name: self.compiling(stages[name]) for name in todo}
             found = {name: Guess(one.seconds + more[name], one.off, more[name]) for name, one in found.items()}
-        if not now or sum(one.seconds for one in found.values()) <= WORTH:
+        if sum(one.seconds for one in found.values()) <= WORTH:
             return found
         slow = {name: slowed(name) for name in found}
         return {

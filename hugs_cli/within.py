@@ -96,8 +96,8 @@ class Promise:
         return max(self.seconds - (time.monotonic() - began) - STAGE_START * starts, 0.0)
 
     def _guess(self, forced: frozenset[str], begun: bool, device: str, console: Console) -> dict[str, float]:
-        """Seconds that the least of this run takes: `before` training, `from` then on, and the `share` of its processors
-        that the machine has for it now. The whole time is counted down from now on."""
+        """Seconds that the least of this run takes: `before` training, `from` then on, and the `share` of processor
+        time that training gets now. The whole time is counted down from now on."""
         found, known = self.session.verdicts(self._before(), forced), times.here(device)
         missing = [name for name, verdict in found.items() if not verdict.fresh]
         sizes = times.sizes_of(self.session, "frames" not in missing)._replace(steps=LEAST)

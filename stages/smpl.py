@@ -49,10 +49,11 @@ def check(
     """See `contract.StageModule`."""
     from stages.estimators import assets
     from stages.estimators.bodyfit.inputs import check_given
+    from stages.formats.body_model import read_body_model
 
-    if body_model is None:  # an SMPL model has no fingers
-        assets.path("hand_landmark_full.tflite")
     check_given(video, smpl_fit, body_model, landmarks)
+    if body_model is None or read_body_model(body_model).fingers is not None:
+        assets.path("hand_landmark_full.tflite")
 
 
 def run(
@@ -65,12 +66,12 @@ def run(
     landmarks: Path | None = None,
     body_model: Path | None = None,
 ) -> None:
-    """Write body.npz, hands.npz, body_model.npz, ground.json, smpl.json, pictures of the fit in overlays/, and landmarks.npz if the
-    poses were estimated here.
+    """Write body.npz, hands.npz, body_model.npz, ground.json, smpl.json, pictures of the fit in overlays/, and landmarks.npz if
+    poses are estimated here.
 
     Poses come from `smpl_fit`, from the fit that a data set brought along, or from `landmarks`, else BlazePose's, and the masks.
-    Frames without a person are filled in between their neighbours with confidence 0. What is
-    of further people is in people/2 and so on, in the world of the first. Raises StageError if nearly no frame shows a person.
+    Frames without a person are filled in between their neighbours with confidence 0. Results of further
+    people are in people/2 and so on, in the world of the first. Raises StageError if nearly no frame shows a person.
     """
     import numpy as np
 

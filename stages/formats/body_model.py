@@ -120,7 +120,7 @@ def _from_arrays(arrays: Mapping[str, Any], path: Path, name: str) -> BodyModel:
 
 
 def _fingers(get: Callable[..., np.ndarray], count: int) -> HandsFace:
-    """Finger bones of a model of `count` vertices, and a face of no points: what moves it has none of FACE_NAMES."""
+    """Finger bones of a model of `count` vertices, and a face of no points: its expressions are none of FACE_NAMES."""
     return HandsFace(
         finger_regressor=get("finger_regressor", len(FINGER_NAMES) + 10, count).astype(np.float32),
         finger_weights=get("finger_weights", count, len(FINGER_NAMES)).astype(np.float32),

@@ -23,11 +23,11 @@ from stages.gestures import FINGER_NAMES
 from stages.records import JOINT_NAMES, JOINTS
 
 FIRST = {52: 22, 55: 25}
-"""Of a model of so many joints, the first finger's."""
+"""Joints of a model -> the first joint of its fingers."""
 BODY, HEAD = JOINTS - 2, JOINT_NAMES.index("head")
 WRISTS = JOINT_NAMES.index("left_wrist"), JOINT_NAMES.index("right_wrist")
 MIDDLE = [FINGER_NAMES.index(f"{side}_middle1") for side in ("left", "right")]
-TIP, OWN = 8, 0.5  # vertices of a fingertip, and the weight on the last bone that they have at least
+TIP, OWN = 8, 0.5  # vertices of a fingertip, and their least weight on its last bone
 
 
 def as_smpl(arrays: Mapping[str, Any], path: Path, hint: str) -> dict[str, Any]:

@@ -5,18 +5,15 @@ from typing import get_args
 
 import pytest
 
-from stages.avatar.drawing.attach import attach
 from stages.avatar.drawing.rig import rig_of
 from stages.formats.body_model import read_body_model
 from stages.formats.exchange.avatar_glb import write_avatar_glb
 from stages.formats.exchange.bone_names import Names
 from stages.formats.exchange.glb import Glb
-from stages.formats.hands_face import read_hands_face
 from stages.gestures import FINGER_NAMES
 from stages.records import JOINT_NAMES
 from tests.docs.documents import ROOT
-from tests.made.meshes import body_mesh
-from tests.made.tiny import make_avatar
+from tests.made.meshes import body_mesh, handed_avatar
 
 
 def row(cells: list[str]) -> list[tuple[str, ...]]:
@@ -35,7 +32,7 @@ def right(name: str) -> str:
 def written(tmp_path_factory):
     """Scheme -> names of the joints of an avatar with fingers, as its avatar.glb has them."""
     model, folder, found = read_body_model(), tmp_path_factory.mktemp("names"), {}
-    rig = rig_of(attach(make_avatar(model, every=20), model, read_hands_face(model)))
+    rig = rig_of(handed_avatar(model))
     for names in get_args(Names):
         write_avatar_glb(folder / f"{names}.glb", rig, body_mesh(model), [], names)
         content = Glb(folder / f"{names}.glb").content

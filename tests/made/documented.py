@@ -50,8 +50,6 @@ SMALLER = {
 PIPELINES = "small.yaml"
 PROFILE = "executor: local\nscheduler: greedy\ncores: 2\njobs: 2\n"
 """Snakemake's for this machine, under the name of a cluster's."""
-
-
 HUGS = typer.main.get_command(app)
 Said = tuple[str, str]
 

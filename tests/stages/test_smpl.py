@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -26,7 +27,7 @@ from stages.estimators.bodyfit.inputs import of_person, read_inputs, touch
 from stages.estimators.bodyfit.resting import carry_over
 from stages.estimators.bodyfit.seen_landmarks import follow
 from stages.estimators.person import blazepose
-from stages.formats.body_model import read_body_model
+from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import write_cameras
 from stages.formats.facts import Listing, read_facts
 from stages.formats.given_fits.record import SMPLX_PELVIS
@@ -39,6 +40,7 @@ from stages.records import BodyPoses
 from tests.made import bodyfit_clips, landmark_files
 from tests.made.possible import impossible
 from tests.made.said import any_holds, holds
+from tests.made.smplx import made_smplx
 
 MODEL = read_body_model()
 WIDTH, HEIGHT = bodyfit_clips.WIDTH, bodyfit_clips.HEIGHT
@@ -405,6 +407,18 @@ def test_a_fit_that_has_one_person_for_two_of_the_masks_is_refused(tmp_path):
     smpl.check_apart([poses, poses], None)
     with pytest.raises(StageError, match=r"fit\.npz .*one person.*1 and 2"):
         smpl.check_apart([poses, poses], tmp_path / "fit.npz")
+
+
+@pytest.mark.slow
+def test_where_a_body_has_fingers_the_network_for_them_is_looked_for_before_any_stage_runs(tmp_path, monkeypatch):
+    monkeypatch.setenv("HUGS_CACHE", str(tmp_path))
+    np.savez(tmp_path / "SMPLX.npz", **made_smplx())
+    write_body_model(tmp_path / "SMPL.npz", replace(read_body_model(), name="SMPL"))
+    check = partial(smpl.check, smpl.Params(), video=tmp_path / "clip.mp4")
+    check(body_model=tmp_path / "SMPL.npz")
+    for own in (None, tmp_path / "SMPLX.npz"):
+        with pytest.raises(StageError, match="hand_landmark_full"):
+            check(body_model=own)
 
 
 def test_people_touch_where_their_masks_nearly_meet():

@@ -2,8 +2,8 @@
 
 Three folders `default` of finished runs, as `make table` leaves them in build/table/NAME/CLIP/; the dance is
 FOLDER/motion/jesse_dance.bvh. strip: the pictures at the top of README. report: the top of the kitchen's report. films: four
-moments of two people in the kitchen. dance: the film of docs/films.md, whose YAML is taken from there, and its page. Without a
-NAME all of them are made. examples: what `examples/*.py` write, of the kitchen and the courtyard.
+moments of two people in the kitchen. dance: the film of docs/films.md, whose YAML is taken from there, and its page. examples:
+what `examples/*.py` write, of the kitchen and the courtyard. Without a NAME all of them are made.
 """
 
 from __future__ import annotations

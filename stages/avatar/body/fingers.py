@@ -1,8 +1,8 @@
 """Finger bones on an SMPL body: 15 a hand, in SMPL-X's order and axes, hanging on the joints 22 and 23 that SMPL has for a hand.
 
 A pose of hands is [...,2,15,3] rad: of the left and of the right hand index, middle, pinky, ring and thumb, three bones each
-from the palm on. All 0 is the free body's hand at rest, relaxed, with fingers a little bent; `flat_hands` is the flat hand at
-which SMPL-X and AMASS have their 0.
+from the palm on. All 0 is the body's hand at rest: the free body's is relaxed, with fingers a little bent. `flat_hands` is the flat
+hand at which SMPL-X and AMASS have their 0.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ THUMB = 4  # of the five fingers: SMPL-X's rests as the free body's
 
 
 def finger_joints(rig: gestures.HandsFace, vertices: Tensor) -> tuple[Tensor, Tensor]:
-    """Joints [...,30,3] and tips [...,10,3] m of fingers at rest, from the free body's `vertices` [...,V,3] at rest."""
+    """Joints [...,30,3] and tips [...,10,3] m of fingers at rest, from a body's `vertices` [...,V,3] at rest."""
     regressor = torch.as_tensor(rig.finger_regressor).to(vertices)
     joints, tips = (regressor @ vertices).split([BONES, len(regressor) - BONES], -2)
     return joints, tips
@@ -38,7 +38,7 @@ def finger_bones(joints: Tensor, hands: Tensor, bones: Tensor) -> Tensor:
 
 
 def bent_skin(rig: gestures.HandsFace, vertices: Tensor, hands: Tensor) -> Tensor:
-    """The free body's `vertices` [V,3] at rest with its fingers in a pose of `hands` [2,15,3] rad."""
+    """A body's `vertices` [V,3] at rest with its fingers in a pose of `hands` [2,15,3] rad."""
     own = torch.as_tensor(rig.finger_weights).to(vertices)
     joints, _ = finger_joints(rig, vertices)
     moved = finger_bones(joints, hands, torch.eye(4).to(vertices).expand(24, 4, 4))[:, :3].flatten(1)

@@ -1,7 +1,7 @@
-"""Fingers of other skeletons on those of the free body: bones point and twist as theirs. float64, no files.
+"""Fingers of other skeletons on those of an avatar: bones point and twist as theirs. float64, no files.
 
 As in `retarget`, both are compared in a reference pose, from which on the bones turn alike. In what follows hands are rotations
-[F,2,15,3,3] of each bone in the axes of the one above it, from the free body's hand at rest: see `avatar.body.fingers`.
+[F,2,15,3,3] of each bone in the axes of the one above it, from the body's hand at rest: see `avatar.body.fingers`.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ def hands_of(
     times: np.ndarray,
     image: Callable[[int], np.ndarray],
 ) -> tuple[HandPoses, SeenPalms]:
-    """The fingers of a fitted free body, whose `rig` is of its size, at `times` [F] s, and where its palms are seen.
+    """The fingers of a fitted body, whose `rig` is of its size, at `times` [F] s, and where its palms are seen.
 
     `image` gives a picture, uint8 [H,W,3]. A hand that fewer than ENOUGH frames show keeps the body's fingers at rest. Raises
     StageError if a hand is large enough to be looked at and the network has not been fetched.
@@ -64,14 +64,14 @@ def hands_of(
 
 
 def right_hand(rig: HandsFace, model: BodyModel, betas: np.ndarray) -> HandAngles:
-    """The bones of the right hand of a free body with `betas` [10]."""
+    """The bones of the right hand of a body with `betas` [10]."""
     vertices, joints = Body(model).rest(torch.tensor(betas, dtype=torch.float32))
     fingers, tips = (part.numpy() for part in finger_joints(rig, vertices))
     return HandAngles(joints[WRISTS[1]].numpy(), fingers[15:], tips[5:])
 
 
 def palms_of(rig: HandsFace, model: BodyModel, betas: np.ndarray) -> np.ndarray:
-    """Both palms' points [2,5,3] m of a free body at rest: the wrist, and where four fingers begin, as the network has them."""
+    """Both palms' points [2,5,3] m of a body at rest: the wrist, and where four fingers begin, as the network has them."""
     vertices, joints = Body(model).rest(torch.tensor(betas, dtype=torch.float32))
     roots = finger_joints(rig, vertices)[0].unflatten(0, (2, 15))[:, [0, 3, 9, 6]]
     return torch.cat([joints[list(WRISTS), None], roots], 1).numpy()
