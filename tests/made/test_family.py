@@ -20,7 +20,7 @@ from tests.made.family.evidence import Truth
 from tests.made.family.measures import measured, soles_of, stature
 from tests.made.family.motions import MOTIONS
 from tests.made.family.shoes import shoes
-from tests.made.family.table import FAMILY, FPS, FRAMES, LONG, SHORT, shots
+from tests.made.family.table import FAMILY, FPS, LONG, SHORT, shots
 from tests.made.synthetic.cloth import worn
 from tests.made.truth import joints_of
 
@@ -35,9 +35,9 @@ def made(shot):
     motion = film.moved(shot, Body(model, dtype=torch.float64), model, betas, None)
     viewmats = film.path(shot, motion[2], rng)
     width, height = (LONG, SHORT) if shot.wide else (SHORT, LONG)
-    names = tuple(f"{i:06d}" for i in range(FRAMES))
-    Ks = np.tile(pinhole(shot.lens / 36 * LONG, width, height), (FRAMES, 1, 1))
-    return model, BodyPoses(names, betas, *motion, np.ones(FRAMES)), Cameras(names, viewmats, Ks, width, height)
+    names = tuple(f"{i:06d}" for i in range(shot.frames))
+    Ks = np.tile(pinhole(shot.lens / 36 * LONG, width, height), (shot.frames, 1, 1))
+    return model, BodyPoses(names, betas, *motion, np.ones(shot.frames)), Cameras(names, viewmats, Ks, width, height)
 
 
 def test_both_halves_hold_every_kind_and_the_family_spans_what_the_issue_asks_for():
@@ -93,7 +93,7 @@ def test_a_shot_shows_a_person_on_the_floor_whose_standing_feet_stand(shot):
     else:
         assert low.max() < 0.12 and np.median(low) < 0.03
     if shot.motion in MOTIONS:
-        planned = MOTIONS[shot.motion](np.arange(FRAMES) / FPS)
+        planned = MOTIONS[shot.motion](np.arange(shot.frames) / shot.fps)
         flat = np.maximum(planned.feet[..., 1], planned.heels) + planned.flight[:, None] < 1e-6
         stands = flat[1:] & flat[:-1]
         assert stands.any()
@@ -115,7 +115,7 @@ def test_shoes_stand_on_the_floor_with_both_feet_as_thick_as_their_soles():
     garment = shoes(model, poses.betas, shot.sole)
     moved = poses.global_orient, poses.body_pose, poses.transl
     (places,) = worn(
-        [garment.cloth], Body(model, dtype=torch.float64), model.faces.astype(np.int64), poses.betas, moved, FPS
+        [garment.cloth], Body(model, dtype=torch.float64), model.faces.astype(np.int64), poses.betas, moved, shot.fps
     )
     for side in (places[:, garment.cloth.places[:, 0] > 0], places[:, garment.cloth.places[:, 0] < 0]):
         assert side.shape[1] > 100
