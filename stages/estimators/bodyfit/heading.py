@@ -10,7 +10,7 @@ import numpy as np
 from stages.estimators.bodyfit.evidence import LandmarkEvidence
 from stages.estimators.bodyfit.start import normalize
 
-SLACK = np.radians(40)  # by which a turn from a frame to another differs from the speed's, less the speed's own turn
+SLACK = np.radians(45)  # by which a turn from a frame to another differs from the speed's, less the speed's own turn
 AROUND = 8  # steps before and after whose median is the speed: a third of them may be wrong
 BREAK = 1 / 16  # of the frames: a turn that contradicts the speed costs as much as leaving out so many
 
@@ -24,15 +24,15 @@ def drop_turned(evidence: LandmarkEvidence, times: np.ndarray) -> tuple[Landmark
     frames = np.flatnonzero(evidence.seen)
     across, up = _axes(evidence, frames)
     count, cost_of_break = len(frames), max(2.0, BREAK * len(frames))
-    speed = _speeds(across, up, times[frames])
+    even = _even(across, up, times[frames])
     cost, back = np.arange(count, dtype=float), np.full(count, -1)  # all before it left out
     for b in range(1, count):
-        for a in range(max(0, b - 1 - int(2 * cost_of_break)), b):
-            even = speed[a:b].mean() * (times[frames[b]] - times[frames[a]])
-            breaks = abs(_turn(across[a], across[b], up[a] + up[b]) - even) > SLACK + abs(even)
-            total = cost[a] + b - a - 1 + cost_of_break * breaks
-            if total < cost[b]:
-                cost[b], back[b] = total, a
+        a = np.arange(max(0, b - 1 - int(2 * cost_of_break)), b)
+        due = even[b] - even[a]
+        breaks = abs(_turn(across[a], across[b], up[a] + up[b]) - due) > SLACK + abs(due)
+        total = cost[a] + b - a - 1 + cost_of_break * breaks
+        if total.min() < cost[b]:
+            cost[b], back[b] = total.min(), a[total.argmin()]
     kept = [int((cost + np.arange(count)[::-1]).argmin())] if count else []
     while kept and back[kept[-1]] >= 0:
         kept.append(int(back[kept[-1]]))
@@ -57,7 +57,9 @@ def _turn(a: np.ndarray, b: np.ndarray, up: np.ndarray) -> np.ndarray:
     return np.arctan2((np.cross(a, b) * up).sum(-1), flat)
 
 
-def _speeds(across: np.ndarray, up: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Speed of the turn [N-1], rad/s, from each frame to the next: the median of the steps around."""
-    speed = _turn(across[:-1], across[1:], up[:-1] + up[1:]) / np.diff(times)
-    return np.array([np.median(speed[max(0, i - AROUND) : i + 1 + AROUND]) for i in range(len(speed))])
+def _even(across: np.ndarray, up: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """How far [N] rad an even turn has come at each of the `times`: its speed is the median of the steps around."""
+    passed = np.maximum(np.diff(times), 1e-6)
+    speed = _turn(across[:-1], across[1:], up[:-1] + up[1:]) / passed
+    median = [np.median(speed[max(0, i - AROUND) : i + 1 + AROUND]) for i in range(len(speed))]
+    return np.concatenate([[0.0], np.cumsum(np.array(median) * passed)])
