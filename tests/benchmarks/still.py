@@ -4,7 +4,7 @@
 
 The person of the path-traced clip `spin`, who turns once, by their true masks, 20 frames of 384x384 before a background of
 each row of STANDS and MOVES. Those that stand go through `hugs run`, the others through stage sfm alone. A line for each
-clip: what sfm says of the camera, how much of the person the avatar shows on held-out frames (PSNR over white), or the error.
+clip: what sfm says of the camera, PSNR of the person over white on held-out frames, or the error that ended it.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ def rate(video: Path, pipeline: str, stands: bool) -> str:
         return verdict
     held = json.loads((results / "evaluate" / "metrics.json").read_bytes())["heldout"]
     there = (results / "train" / "avatar.npz").is_file()
-    return f"{verdict}, {'an avatar' if there else 'NO avatar'}, {held}"
+    return f"{verdict}, {'an avatar' if there else 'NO avatar'}, {held['person_white']['psnr']:.1f} dB"
 
 
 def main() -> None:
