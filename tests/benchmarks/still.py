@@ -77,7 +77,7 @@ def bumped(shot: Shot, i: int) -> np.ndarray:
 
 
 def zooms(shot: Shot, i: int) -> np.ndarray:
-    return warped(before(DUST, shot, i), 1 + 0.012 * i, 0, 0)
+    return warped(before(CLOTH[:SIDE, :SIDE], shot, i), 1 + 0.012 * i, 0, 0)
 
 
 def sways(wall: np.ndarray, shot: Shot, i: int) -> np.ndarray:
