@@ -259,17 +259,21 @@ def estimate_poses(
     frames, (names, regressor) = clip.cameras.names, model_landmarks(clip.model)
     job.progress(0, 100)
     images = [read_image(sfm / "images" / f"{name}.png") for name in frames]
-    tracks, evidence, strangers, swapped, found = evidence_of(sfm, clip, images, names, given, job.warn)
+    tracks, evidence, marked, found = evidence_of(sfm, clip, images, names, given, job.warn)
     job.progress(40, 100)
     write_landmarks(folder / "landmarks.npz", frames, tracks)
     if given is not None:
         where = f"in {found['frames']} of {len(tracks)} frames, off by {found['off']}"
         job.note(f"landmarks of {plain(given.name)}: {found['skeleton']} {where}")
-    others, exchanged = select(frames, strangers), select(frames, swapped)
-    if others:
-        job.warn(f"left out {count_names(others)}: the landmarks are somebody else's, not the masked person's")
-    if exchanged:
-        job.note(f"left and right exchanged in {count_names(exchanged)}")
+    odd = {kind: select(frames, marks) for kind, marks in marked.items()}
+    if odd["strangers"]:
+        job.warn(
+            f"left out {count_names(odd['strangers'])}: the landmarks are somebody else's, not the masked person's"
+        )
+    if odd["sides_exchanged"]:
+        job.note(f"left and right exchanged in {count_names(odd['sides_exchanged'])}")
+    if odd["turned"]:
+        job.warn(f"left out {count_names(odd['turned'])}: the landmarks face another way than in the frames around")
 
     def show(done: int, total: int, cost: float) -> None:
         job.progress(40 + 55 * done // total, 100, cost=round(cost, 2))
@@ -293,7 +297,6 @@ def estimate_poses(
         },
         "hidden_by_clothes": fit.hidden,
         "not_seen": select(frames, ~evidence.seen),
-        "strangers": others,
-        "sides_exchanged": exchanged,
+        **odd,
     }
     return fit, evidence, facts

@@ -17,12 +17,14 @@ import os
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from stages.estimators.bodyfit.metre import BY_BODY, BY_HEIGHT
+from stages.estimators.bodyfit.quality import measure_quality
 from stages.formats.body_model import read_body_model
 from tests.made.family.courtyard import measure_finished
 from tests.made.family.doubt import errors_of, in_bins
@@ -50,9 +52,10 @@ def rate(shot: Shot, folder: Path) -> tuple[str, Row, np.ndarray, np.ndarray]:
     expected to be off and is, [F,24,2] m."""
     take, truth = read_take(folder / shot.name)
     begun = time.process_time()
-    fit, _ = fit_take(take)
-    seconds = time.process_time() - begun
-    about = (fit.poses, read_body_model(), take.cameras, take.moving, truth)
+    fit, evidence = fit_take(take)
+    seconds, model = time.process_time() - begun, read_body_model()
+    quality = measure_quality(fit.poses, model, take.cameras, take.times, take.masks, evidence, fit.pixels)
+    about = (replace(fit.poses, confidence=quality.confidence), model, take.cameras, take.moving, truth)
     return shot.name, {**measured(*about, take.masks), "s": seconds}, fit.expected_error, errors_of(*about)
 
 

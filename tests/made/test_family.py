@@ -20,11 +20,12 @@ from tests.made.family.evidence import Truth
 from tests.made.family.measures import measured, soles_of, stature
 from tests.made.family.motions import MOTIONS
 from tests.made.family.shoes import shoes
-from tests.made.family.table import FAMILY, FPS, FRAMES, LONG, SHORT, shots
+from tests.made.family.table import FAMILY, FPS, LONG, SHORT, TURNS, shots
 from tests.made.synthetic.cloth import worn
 from tests.made.truth import joints_of
 
 OWN = [shot for shot in FAMILY if "." not in shot.motion]
+TURN_KINDS = {"slow": "turn", "fast": "turn_fast", "stopping": "turn_stopping", "fro": "turn_fro"}
 CUT = ("kneel_cut", "reach_cut")
 
 
@@ -35,9 +36,9 @@ def made(shot):
     motion = film.moved(shot, Body(model, dtype=torch.float64), model, betas, None)
     viewmats = film.path(shot, motion[2], rng)
     width, height = (LONG, SHORT) if shot.wide else (SHORT, LONG)
-    names = tuple(f"{i:06d}" for i in range(FRAMES))
-    Ks = np.tile(pinhole(shot.lens / 36 * LONG, width, height), (FRAMES, 1, 1))
-    return model, BodyPoses(names, betas, *motion, np.ones(FRAMES)), Cameras(names, viewmats, Ks, width, height)
+    names = tuple(f"{i:06d}" for i in range(shot.frames))
+    Ks = np.tile(pinhole(shot.lens / 36 * LONG, width, height), (shot.frames, 1, 1))
+    return model, BodyPoses(names, betas, *motion, np.ones(shot.frames)), Cameras(names, viewmats, Ks, width, height)
 
 
 def test_both_halves_hold_every_kind_and_the_family_spans_what_the_issue_asks_for():
@@ -78,6 +79,18 @@ def test_both_halves_hold_every_kind_and_the_family_spans_what_the_issue_asks_fo
         shots(None, ("nobody",))
 
 
+def test_turns_are_of_every_kind_in_either_half_at_20_to_60_frames_a_second():
+    for half in ("setting", "asked"):
+        own = [shot for shot in TURNS if shot.half == half]
+        assert len(own) == 6 and {shot.motion for shot in own} == set(TURN_KINDS.values())
+        assert all(shot.motion == TURN_KINDS[shot.name.partition("_")[0]] for shot in own)
+        assert {shot.plain for shot in own} == {True, False} and any("hair" in shot.wears for shot in own)
+        assert {20, 60} <= {shot.fps for shot in own} and all(20 <= shot.fps <= 60 for shot in own)
+    yaw = {name: np.degrees(MOTIONS[name](np.linspace(0, 3, 91)).yaw) for name in TURN_KINDS.values()}
+    assert [np.ptp(yaw[name]) for name in TURN_KINDS.values()] == pytest.approx([348, 1080, 360, 110], abs=1)
+    assert np.ptp(yaw["turn_stopping"][[18, 29]]) == 0, "stops"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("shot", OWN, ids=lambda shot: shot.name)
 def test_a_shot_shows_a_person_on_the_floor_whose_standing_feet_stand(shot):
@@ -93,7 +106,7 @@ def test_a_shot_shows_a_person_on_the_floor_whose_standing_feet_stand(shot):
     else:
         assert low.max() < 0.12 and np.median(low) < 0.03
     if shot.motion in MOTIONS:
-        planned = MOTIONS[shot.motion](np.arange(FRAMES) / FPS)
+        planned = MOTIONS[shot.motion](np.arange(shot.frames) / shot.fps)
         flat = np.maximum(planned.feet[..., 1], planned.heels) + planned.flight[:, None] < 1e-6
         stands = flat[1:] & flat[:-1]
         assert stands.any()
@@ -115,7 +128,7 @@ def test_shoes_stand_on_the_floor_with_both_feet_as_thick_as_their_soles():
     garment = shoes(model, poses.betas, shot.sole)
     moved = poses.global_orient, poses.body_pose, poses.transl
     (places,) = worn(
-        [garment.cloth], Body(model, dtype=torch.float64), model.faces.astype(np.int64), poses.betas, moved, FPS
+        [garment.cloth], Body(model, dtype=torch.float64), model.faces.astype(np.int64), poses.betas, moved, shot.fps
     )
     for side in (places[:, garment.cloth.places[:, 0] > 0], places[:, garment.cloth.places[:, 0] < 0]):
         assert side.shape[1] > 100
@@ -162,6 +175,14 @@ def test_what_is_off_is_told_with_its_sign():
     assert near["world"] == pytest.approx(10) and near["pelvis"] == pytest.approx(0, abs=1e-6)
     axis = np.cross([0, 1, 0], toward * [1, 0, 1])
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    about = Rotation.from_rotvec(poses.global_orient) * Rotation.from_rotvec([0, np.radians(100), 0])
+    faced = poses.global_orient.copy()
+    faced[[3, 4]] = about.as_rotvec()[[3, 4]]
+    doubted, one = np.ones(len(poses)), replace(poses, global_orient=faced)
+    assert none["heading"] < 1e-5
+    assert measured(one, model, cameras, True, truth)["heading"] == pytest.approx(100)
+    doubted[[3, 4]] = 0
+    assert measured(replace(one, confidence=doubted), model, cameras, True, truth)["heading"] < 1e-5
     leant = Rotation.from_rotvec(np.radians(8) * axis) * Rotation.from_rotvec(poses.global_orient)
     bowed = measured(replace(poses, global_orient=leant.as_rotvec()), model, cameras, True, truth)
     assert bowed["lean"] == pytest.approx(8, abs=0.2)

@@ -191,13 +191,13 @@ def vote_sides(evidence: LandmarkEvidence) -> tuple[LandmarkEvidence, np.ndarray
     """Exchange left and right (of all, arms or legs), or front and back, in the frames that contradict their neighbours.
 
     Somebody seen from behind who is taken for somebody seen from the front has both left and right exchanged and near and
-    far. A shortest path over the seen frames (Viterbi): a step costs how far the landmarks move, in picture and space; a run of
-    exchanged frames costs SWAP_EDGE at either end and its share of SWAP_ALL, so the sides that BlazePose gives most often
-    win. Returns which frames [F] were changed.
+    far; where depth alone is read wrongly, near and far alone. A shortest path over the seen frames (Viterbi): a step costs
+    how far the landmarks move, in picture and space; a run of exchanged frames costs SWAP_EDGE at either end and its share
+    of SWAP_ALL, so the sides that BlazePose gives most often win. Returns which frames [F] were changed.
     """
-    orders = [mirrored_columns(evidence.names, parts) for parts in ((), None, ARMS, LEGS, None)]
+    orders = [mirrored_columns(evidence.names, parts) for parts in ((), None, ARMS, LEGS, None, ())]
     near_far = np.ones((len(orders), 3))
-    near_far[-1, 2] = -1
+    near_far[-2:, 2] = -1
     frames = np.flatnonzero(evidence.seen)
     if len(frames) < 2:
         return evidence, np.zeros(len(evidence.seen), bool)

@@ -11,6 +11,7 @@ import numpy as np
 from stages.contract import StageError
 from stages.estimators.bodyfit.evidence import FLAT, LandmarkEvidence, drop_cut, drop_strangers, gather, vote_sides
 from stages.estimators.bodyfit.given_landmarks import given_landmarks
+from stages.estimators.bodyfit.heading import drop_turned
 from stages.estimators.bodyfit.inputs import Inputs
 from stages.estimators.bodyfit.landmark_error import weighed
 from stages.estimators.person import identities
@@ -41,9 +42,12 @@ def evidence_of(
     names: tuple[str, ...],
     given: Path | None,
     say: Callable[[str], None],
-) -> tuple[Sequence[SeenLandmarks | None], LandmarkEvidence, np.ndarray, np.ndarray, dict[str, Any]]:
-    """The landmarks of each frame, as evidence under the model's `names`; the frames [F] of strangers and of exchanged sides;
-    facts about those in the file `given`, which take the place of BlazePose's. StageError if nearly no frame shows the person."""
+) -> tuple[Sequence[SeenLandmarks | None], LandmarkEvidence, dict[str, np.ndarray], dict[str, Any]]:
+    """The landmarks of each frame, as evidence under the model's `names`; the frames bool [F] of `strangers`, of `sides_exchanged`
+    and `turned` against their neighbours; facts about those in the file `given`, which take the place of BlazePose's.
+
+    StageError if nearly no frame shows the person.
+    """
     followed = tracks = follow(sfm, clip, images)
     facts: dict[str, Any] = {}
     if given is not None:
@@ -54,6 +58,7 @@ def evidence_of(
         evidence = gather(tracks, names, 1.0 if facts["3d"] else FLAT)
     evidence, strangers = drop_strangers(evidence, clip.masks)
     evidence, swapped = vote_sides(drop_cut(evidence, (clip.cameras.width, clip.cameras.height)))
+    evidence, turned = drop_turned(evidence, clip.times)
     count = int(evidence.seen.sum())
     if count < max(2, SEEN_LEAST * len(tracks)):
         who = "a person"
@@ -68,4 +73,4 @@ def evidence_of(
         tracks = [
             one and SeenLandmarks(*(np.nan_to_num(v) for v in (one.xy, one.visibility, one.world))) for one in tracks
         ]
-    return tracks, evidence, strangers, swapped, facts
+    return tracks, evidence, {"strangers": strangers, "sides_exchanged": swapped, "turned": turned}, facts

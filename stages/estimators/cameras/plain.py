@@ -24,6 +24,7 @@ EXISTS = 1.0  # of 255: a change by less may be the compression's
 NOISE = 2.0  # times the noise: a change by less may be noise
 BLACK = 20  # of 255: what is never brighter may be a bar of a wider film; its rim stays in place
 HALF = 0.5  # of the frames must see a pixel
+CALM = 25  # per cent of the background that no curtain or screen covers
 EXPLAINED = 0.5  # of the changes of soft light that one motion of the picture must explain
 
 
@@ -148,10 +149,13 @@ def _sways(views: Views, often: np.ndarray, mean: np.ndarray, limit: float) -> b
 
 
 def _equally_bright(grey: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """The pictures [F,h,w] as bright as the middle one, by the background that both show: a gain and an offset each."""
+    """The pictures [F,h,w] as bright as the middle one, by the background that both show: a gain and an offset each.
+
+    A picture whose calmest quarter that would change more stays: what moves there covers most of it.
+    """
     middle, found = len(grey) // 2, grey.copy()
-    for picture, free in zip(found, seen, strict=True):
-        both = free & seen[middle]
+    for picture, own, free in zip(found, grey, seen, strict=True):
+        shown = both = free & seen[middle]
         for _ in range(2):
             if not both.any():
                 break
@@ -160,7 +164,10 @@ def _equally_bright(grey: np.ndarray, seen: np.ndarray) -> np.ndarray:
             gain = (varies[0] + EXISTS) / (varies[1] + EXISTS)  # 1 where a picture hardly varies
             picture[:] = gain * (picture - mine.mean()) + aim.mean()
             left = np.abs(picture - grey[middle])
-            both &= left <= 2 * np.median(left[both]) + EXISTS  # what moves does not count
+            both = both & (left <= 2 * np.median(left[both]) + EXISTS)  # what moves does not count
+        if shown.any():
+            changes = [np.percentile(np.abs(one - grey[middle])[shown], CALM) for one in (picture, own)]
+            picture[:] = picture if changes[0] <= changes[1] else own
     return found
 
 

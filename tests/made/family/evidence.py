@@ -29,6 +29,7 @@ from stages.estimators.bodyfit.evidence import (
     vote_sides,
 )
 from stages.estimators.bodyfit.fit import BodyFit, fit_body
+from stages.estimators.bodyfit.heading import drop_turned
 from stages.formats.arrays import read_npz
 from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import read_cameras, write_cameras
@@ -38,7 +39,7 @@ from stages.formats.points import read_points, write_points
 from stages.formats.poses import read_poses, write_poses
 from stages.records import BodyModel, BodyPoses, Cameras, SeenLandmarks
 from tests.made.family.film import film
-from tests.made.family.table import FPS, Shot
+from tests.made.family.table import Shot
 from tests.made.truth import Similarity
 
 
@@ -86,7 +87,7 @@ def make_take(folder: Path, shot: Shot, captures: Path | None) -> None:
     write_cameras(folder / "cameras.npz", made.placed)
     write_points(folder / "points.ply", made.points, made.colors)
     find_person(folder, list(names))
-    (folder / "facts.json").write_text(json.dumps({"fps": FPS, "moving": made.moving, "half": shot.half}) + "\n")
+    (folder / "facts.json").write_text(json.dumps({"fps": shot.fps, "moving": made.moving, "half": shot.half}) + "\n")
 
 
 def find_person(folder: Path, names: list[str]) -> None:
@@ -126,6 +127,7 @@ def fit_take(take: Take, model: BodyModel | None = None) -> tuple[BodyFit, Landm
     names, regressor = model_landmarks(model)
     evidence, _ = drop_strangers(gather(take.tracks, names), take.masks)
     evidence, _ = vote_sides(drop_cut(evidence, (take.cameras.width, take.cameras.height)))
+    evidence, _ = drop_turned(evidence, take.times)
     fit = fit_body(
         model, regressor, evidence, take.cameras, take.times, take.masks, take.points, take.moving, take.images
     )

@@ -17,10 +17,11 @@ from stages.filming.motions import Manner, from_file
 from stages.formats.body_model import read_body_model
 from stages.records import BodyModel, BodyPoses, Cameras
 from stages.synthetic import room as rooms
+from stages.synthetic.person import SHIRT, TROUSERS, Outfit
 from tests.made.family.legs import perform
 from tests.made.family.motions import MOTIONS, Plan
 from tests.made.family.shoes import shoes
-from tests.made.family.table import FPS, FRAMES, LONG, SHORT, Box, Shot
+from tests.made.family.table import LONG, SHORT, Box, Shot
 from tests.made.synthetic import clip as synthetic
 from tests.made.synthetic.effects import ClipEffects
 from tests.made.synthetic.wardrobe import make_garments
@@ -63,6 +64,16 @@ class Film:
     to_truth: Similarity
 
 
+class OneColour(Outfit):
+    """The outfit with shirt and trousers of one colour each."""
+
+    def _shirt(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+        return np.broadcast_to(SHIRT, (len(x), 3)).copy()
+
+    def _legs(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+        return np.broadcast_to(TROUSERS, (len(x), 3)).copy()
+
+
 def film(shot: Shot, captures: Path | None) -> Film:
     """Make the shot; `captures` is the folder of captured motions."""
     rng = np.random.default_rng(list(shot.name.encode()))
@@ -76,10 +87,12 @@ def film(shot: Shot, captures: Path | None) -> Film:
     viewmats = path(shot, transl, rng)
     room, swings = hall(rng, shot.boxes, np.radians(shot.facing)), ClipEffects(clothing=shot.clothing)
     renderer = synthetic.Renderer(model, room, betas, K, swings, 1, worn)
-    views = renderer.views(viewmats, orient, pose, width, height, lambda done: None, transl=transl, fps=FPS)
-    names = tuple(f"{i:06d}" for i in range(FRAMES))
+    if shot.plain:
+        renderer.clothes = OneColour(model)
+    views = renderer.views(viewmats, orient, pose, width, height, lambda done: None, transl=transl, fps=shot.fps)
+    names = tuple(f"{i:06d}" for i in range(shot.frames))
     cameras = Cameras(names, viewmats, views.Ks, width, height)
-    poses = BodyPoses(names, betas, orient, pose, transl, np.ones(FRAMES))
+    poses = BodyPoses(names, betas, orient, pose, transl, np.ones(shot.frames))
     points, colors = cloud(renderer, views, rng)
     placed, points, to_truth = as_sfm_has_it(shot, cameras, points, rng)
     colors, moving = colors[: len(points)], shot.path != "still"
@@ -110,22 +123,24 @@ def moved(
     shot: Shot, body: Body, model: BodyModel, betas: np.ndarray, captures: Path | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """global_orient [F,3], body_pose [F,69] and transl [F,3] of the shot's motion, float64."""
-    t = np.arange(FRAMES) / FPS
+    t = np.arange(shot.frames) / shot.fps
     if shot.motion in MOTIONS:
         motion = perform(on_slope(MOTIONS[shot.motion](t), np.radians(shot.slope)), body, betas)
     elif shot.motion in FORMULAS:
         leg = -float(body.rest(torch.from_numpy(betas))[0][:, 1].min()) - 0.11
-        motion = tuple(part.numpy().astype(np.float64) for part in FORMULAS[shot.motion](FRAMES / FPS, FPS, leg))
+        motion = tuple(
+            part.numpy().astype(np.float64) for part in FORMULAS[shot.motion](shot.frames / shot.fps, shot.fps, leg)
+        )
         motion = on_floor(*motion, body, betas)
     elif captures is None:
         raise ValueError(f"{shot.name} needs the folder of captured motions")
     else:
         rate = CAPTURE_FPS if shot.motion.endswith(".npz") else None
         soles = Soles.of_model(model, betas)
-        placed, _ = from_file(captures / shot.motion, Manner(FPS, motion_fps=rate), soles, model.parents.tolist())
-        first = round(shot.start * FPS)
+        placed, _ = from_file(captures / shot.motion, Manner(shot.fps, motion_fps=rate), soles, model.parents.tolist())
+        first = round(shot.start * shot.fps)
         motion = tuple(
-            values[first : first + FRAMES] for values in (placed.global_orient, placed.body_pose, placed.transl)
+            values[first : first + shot.frames] for values in (placed.global_orient, placed.body_pose, placed.transl)
         )
         motion[2][:, [0, 2]] -= motion[2][:, [0, 2]].mean(0)
         motion = on_floor(*motion, body, betas)
@@ -161,8 +176,8 @@ def on_floor(
 
 def path(shot: Shot, transl: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """viewmats [F,4,4] of the shot's camera, which is held upright as the person is."""
-    u = np.linspace(-0.5, 0.5, FRAMES)
-    shake = synthetic.tremor(FRAMES, FPS, rng)
+    u = np.linspace(-0.5, 0.5, shot.frames)
+    shake = synthetic.tremor(shot.frames, shot.fps, rng)
     held = 0.0 if shot.path == "still" else 0.15 if shot.path == "little" else 1.0
     angle = np.radians(shot.reach) * u if shot.path == "arc" else 0 * u
     away = shot.distance - (shot.reach * (u + 0.5) if shot.path == "forward" else 0)
@@ -174,7 +189,7 @@ def path(shot: Shot, transl: np.ndarray, rng: np.random.Generator) -> np.ndarray
     eye, target = eye + shot.follow * smooth, smooth + [0, shot.aim, 0]
     turned = target + TREMOR * shot.distance * min(1.0, held * 2) * shake[:, 3:6]
     views = []
-    for i in range(FRAMES):
+    for i in range(shot.frames):
         view = look_at(eye[i], turned[i], synthetic.UP)
         roll = np.radians(shot.roll) + 0.5 * TREMOR * held * shake[i, 6]
         spun = np.eye(4)

@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from stages.avatar.body.joints import ANKLES, FEET
 from stages.avatar.body.smpl import Body
 from stages.estimators.bodyfit.contact import sole_vertices
 from stages.estimators.bodyfit.posed import posed_vertices
 from stages.records import JOINT_NAMES, BodyModel, BodyPoses, Cameras
+from stages.smpl import Params
 from tests.made.family.evidence import Truth
 from tests.made.truth import Similarity, align, joints_of, rows
 from tests.made.worlds import umeyama
@@ -21,6 +23,8 @@ LOW = 0.015
 """m over its lowest place up to which a true sole, bare or in a shoe, stands on the floor."""
 HEAD, NECK = JOINT_NAMES.index("head"), JOINT_NAMES.index("neck")
 TOES_AND_ANKLES = [*FEET, *ANKLES]
+DOUBTFUL = Params().doubtful
+"""Confidence below which a run marks a frame's pose."""
 UPRIGHT = 0.25
 """m between pelvis and neck, seen from the side, from which there is a lean to speak of."""
 COLUMNS = {
@@ -36,6 +40,7 @@ COLUMNS = {
     "tall%": "stature against the truth",
     "beta": "largest shape",
     "scale%": "metres per SfM unit against the truth (still camera: the depth of the pelvis)",
+    "heading": "largest error of the pelvis' turn about its own up axis in frames not marked doubtful, degrees",
     "IoU": "our masks against the true ones",
 }
 
@@ -69,9 +74,23 @@ def measured(
         100 * (tall - 1),
         abs(poses.betas).max(),
         100 * (1 / similarity.scale - 1),
+        heading_off(poses, cameras, truth, order)[poses.confidence >= DOUBTFUL].max(initial=0),
         np.mean([_iou(a, b) for a, b in zip(masks, truth.masks)]) if len(masks) else np.nan,
     )
     return dict(zip(COLUMNS, map(float, values), strict=True))
+
+
+def heading_off(poses: BodyPoses, cameras: Cameras, truth: Truth, order: np.ndarray) -> np.ndarray:
+    """By how many degrees [F] each pelvis is turned about the true one's up axis, in camera axes; `order` [F] are truth's rows."""
+    ours, true = (
+        Rotation.from_matrix(view[:, :3, :3]) * Rotation.from_rotvec(orient)
+        for view, orient in (
+            (cameras.viewmats, poses.global_orient),
+            (truth.cameras.viewmats[rows(poses.names, truth.cameras.names)], truth.poses.global_orient[order]),
+        )
+    )
+    ahead = (true.inv() * ours).as_matrix()[..., 2]
+    return abs(np.degrees(np.arctan2(ahead[:, 0], ahead[:, 2])))
 
 
 def between(

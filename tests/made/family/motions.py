@@ -87,6 +87,30 @@ def turn_back(t: np.ndarray) -> Plan:
     return plan
 
 
+def turn_fast(t: np.ndarray) -> Plan:
+    """Around once a second, arms low."""
+    plan = Plan(t)
+    _step(plan, lambda t: np.stack([0 * t, 0 * t, 2 * np.pi * t], 1), cycle=0.3)
+    plan.up += 0.2
+    return plan
+
+
+def turn_stopping(t: np.ndarray) -> Plan:
+    """Around in 3 s with a stop after each third of it, arms that rise and fall."""
+    plan, third = Plan(t), 2 * np.pi / 3
+    _step(plan, lambda t: np.stack([0 * t, 0 * t, third * (np.floor(t) + _ease(t % 1, 0.0, 0.6))], 1), cycle=0.4)
+    plan.up[:] = 0.7 * np.sin(np.pi * t / 2.1)[:, None] ** 2
+    return plan
+
+
+def turn_fro(t: np.ndarray) -> Plan:
+    """110 degrees to the left and back, once in 1.6 s."""
+    plan = Plan(t)
+    _step(plan, lambda t: np.stack([0 * t, 0 * t, np.radians(55) * (1 - np.cos(2 * np.pi * t / 1.6))], 1), cycle=0.4)
+    plan.up += 0.15
+    return plan
+
+
 def _walk(t: np.ndarray, length: float, yaw: float) -> Plan:
     """A straight walk of `length` leg lengths with its middle at the origin."""
     plan = Plan(t)
@@ -210,5 +234,6 @@ def lie(t: np.ndarray) -> Plan:
 
 MOTIONS: dict[str, Callable[[np.ndarray], Plan]] = {
     made.__name__: made
-    for made in (turn, turn_back, walk_toward, walk_away, walk_across, squat, bend, sit, kneel, reach, jump, lie)
+    for made in (turn, turn_back, turn_fast, turn_stopping, turn_fro, walk_toward, walk_away, walk_across)
+    + (squat, bend, sit, kneel, reach, jump, lie)
 }

@@ -60,6 +60,10 @@ class Shot:
     """Of the floor, which rises ahead of somebody who looks along +z by plan, degrees."""
     ride: float = 0.0
     """m/s at which a board carries the person along +x, over the same floor."""
+    fps: float = FPS
+    frames: int = FRAMES
+    plain: bool = False
+    """Shirt and trousers of one colour each, the same before and behind."""
 
 
 FAMILY = (
@@ -130,10 +134,35 @@ ODD = (
 )  # fmt: skip
 """Clips beside the family, which are only made by name: floors that slope, and somebody who rides over a level one."""
 
+TURNS = (
+    Shot("slow_plain", "setting", "turn", 1.4, 2.6, 0.9, 26, "arc", 30, stature=1.74, fps=20, frames=60, plain=True),
+    Shot("fast_pattern", "setting", "turn_fast", 1.5, 3.4, 0.9, 32, "still", stature=1.66, fps=30, frames=40),
+    Shot("stopping_hair", "setting", "turn_stopping", 1.3, 2.8, 0.9, 28, "sideways", 0.6, stature=1.70, fps=20,
+         frames=60, wears=("hair",)),
+    Shot("fro_plain", "setting", "turn_fro", 1.5, 4.2, 0.9, 26, "jitter", stature=1.82, fps=60, frames=64, plain=True),
+    Shot("fast_hair", "setting", "turn_fast", 1.6, 5.0, 0.9, 26, "arc", 25, stature=1.78, heavy=1, fps=24, frames=40,
+         plain=True, wears=("hair",)),
+    Shot("fro_pattern", "setting", "turn_fro", 1.2, 2.6, 0.9, 26, "still", facing=40, stature=1.60, fps=25, frames=48),
+    Shot("slow_hair", "asked", "turn", 1.6, 3.0, 0.9, 28, "still", facing=90, stature=1.68, fps=30, frames=64,
+         plain=True, wears=("hair",)),
+    Shot("fast_plain", "asked", "turn_fast", 1.3, 3.6, 0.9, 32, "sideways", 0.8, stature=1.80, fps=60, frames=60,
+         plain=True),
+    Shot("stopping_plain", "asked", "turn_stopping", 1.7, 4.6, 0.9, 26, "arc", -30, stature=1.62, heavy=-1, fps=24,
+         frames=64, plain=True),
+    Shot("stopping_pattern", "asked", "turn_stopping", 1.4, 2.7, 0.9, 26, "still", facing=-60, stature=1.76, fps=30,
+         frames=64),
+    Shot("fro_hair", "asked", "turn_fro", 1.5, 3.2, 0.9, 28, "arc", 30, facing=60, stature=1.70, fps=20, frames=48,
+         wears=("hair",)),
+    Shot("fast_far", "asked", "turn_fast", 1.6, 6.0, 0.9, 28, "jitter", facing=180, stature=1.86, fps=20, frames=40),
+)  # fmt: skip
+"""Clips of people who turn on the spot, only made by name: slow, fast, with stops, to and fro."""
+
+KNOWN = FAMILY + ODD + TURNS
+
 
 def shots(half: str | None = None, names: tuple[str, ...] = ()) -> list[Shot]:
     """The family's clips of that half, or any clips with those names, in the tables' order; ValueError for an unknown name."""
-    if unknown := set(names) - {shot.name for shot in FAMILY + ODD}:
+    if unknown := set(names) - {shot.name for shot in KNOWN}:
         raise ValueError(f"no clip {', '.join(sorted(unknown))} in the family")
-    known = [shot for shot in FAMILY + ODD if shot.name in names] if names else FAMILY
+    known = [shot for shot in KNOWN if shot.name in names] if names else FAMILY
     return [shot for shot in known if half in (None, shot.half)]

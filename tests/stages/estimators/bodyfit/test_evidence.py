@@ -137,3 +137,19 @@ def test_somebody_who_walks_away_is_not_turned_front_to_back_in_the_last_frames(
     assert np.flatnonzero(changed).tolist() == list(range(23, 30))
     np.testing.assert_array_equal(voted.xy[evidence.seen], evidence.xy[evidence.seen])
     np.testing.assert_array_equal(voted.world[evidence.seen], evidence.world[evidence.seen])
+
+
+@pytest.mark.parametrize("first", [5, 24])
+def test_two_frames_whose_depth_alone_is_reversed_are_set_right_and_no_others(monkeypatch, first):
+    """Without a way back of their own, all others were exchanged to agree with them."""
+    pose = bodyfit_clips.motion
+    monkeypatch.setattr(bodyfit_clips, "motion", lambda times: (np.pi / 3 * times, pose(times)[1]))
+    model = read_body_model()
+    names, _ = model_landmarks(model)
+    evidence, _ = vote_sides(gather(bodyfit_clips.make(model, frames=30).tracks, names))
+    world, rows = evidence.world.copy(), [first, first + 1]
+    world[rows, :, 2] *= -1
+    voted, changed = vote_sides(replace(evidence, world=world))
+    assert np.flatnonzero(changed).tolist() == rows
+    np.testing.assert_array_equal(voted.world, evidence.world)
+    np.testing.assert_array_equal(voted.xy, evidence.xy)

@@ -27,6 +27,10 @@ def curtain(image: np.ndarray, frame: int) -> None:
     image[:150, 40:280] = 100 + 50 * np.sin(X[:150, 40:280] / 5 + 2 * np.sin(frame))
 
 
+def wide_curtain(image: np.ndarray, frame: int) -> None:
+    image[:172] = 100 + 50 * np.sin(X[:172] / 5 + 2 * np.sin(frame))
+
+
 def screen(image: np.ndarray, frame: int) -> None:
     image[12:138, 52:268] = 15
     image[20:130, 60:260] = CLOTH[50 * frame : 50 * frame + 110, :200]
@@ -85,6 +89,11 @@ def test_a_camera_that_moves_a_little_is_not_called_still(tmp_path, wall, change
 def test_where_nothing_shows_it_neither_is_said(tmp_path, wall, way):
     found = judge(seen(tmp_path, wall, way))
     assert not found.still and not found.moves and found.facts() == {"displacement_px": None, "stays": None}
+
+
+def test_a_curtain_over_most_of_the_picture_does_not_make_the_floor_below_it_brighter_and_darker(tmp_path):
+    found = judge(seen(tmp_path, np.where(Y < 210, 120, 95).astype(np.float32), STILL, wide_curtain))
+    assert not found.moves and found.cells >= 0.25 and found.drift_px < 0.3
 
 
 def test_what_stays_in_a_few_places_leaves_doubt_and_all_over_the_picture_none():
