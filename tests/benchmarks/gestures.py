@@ -89,7 +89,9 @@ def boxes(views: Path) -> list[dict[str, list[Box]]]:
     for at in pixels:
         each = [(*at[limb].min(0).astype(int), *(at[limb].max(0) + 1).astype(int)) for limb in limbs.T[[*HANDS, HEAD]]]
         whole = [one for one in each if min(one) >= 0 and one[2] <= cameras.width and one[3] <= cameras.height]
-        found.append({"hands": [one for one in each[:2] if one in whole], "head": [one for one in each[2:] if one in whole]})
+        found.append(
+            {"hands": [one for one in each[:2] if one in whole], "head": [one for one in each[2:] if one in whole]}
+        )
     return found
 
 
@@ -168,7 +170,10 @@ def rate(work: Path, kind: str, seed: int, own: bool, steps: int, lpips: Lpips) 
     write_image(place / "novel.png", picture)
     long = places(clip.body_model, clip.body, clip.cameras).lengths
     row |= {"clip": f"{kind}{seed}", "own": own, "px": float(np.median(long)), "novel": scored, "staging": staging}
-    return row | {"heldout": {key: heldout[f"{key}_person"] for key in ("psnr", "lpips")}, "fingers": fingers_off(place)}
+    return row | {
+        "heldout": {key: heldout[f"{key}_person"] for key in ("psnr", "lpips")},
+        "fingers": fingers_off(place),
+    }
 
 
 def main() -> None:

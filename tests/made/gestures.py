@@ -23,7 +23,6 @@ from stages.avatar.motion.gestures import MIRRORED, fingers_at, say_a_sentence
 from stages.avatar.splats.neighbours import mean_near, nearest
 from stages.formats.body_model import read_body_model
 from stages.formats.hands_face import read_hands_face
-from stages.gestures import FACE_NAMES
 from stages.records import BodyModel
 from stages.synthetic.clip import FOCAL, UP, SyntheticClip, tremor
 from stages.synthetic.room import make_room
@@ -108,7 +107,9 @@ def views(kind: str, angles: np.ndarray, shake: np.ndarray) -> np.ndarray:
     """viewmats [V,4,4] of a camera that looks at the person from `angles` [V] rad about them, off by `shake` [V,6] m."""
     away, height = KINDS[kind]
     eyes = np.stack([away * np.sin(angles), np.full(len(angles), height + 0.15), away * np.cos(angles)], 1)
-    return np.stack([look_at(eye, target, UP) for eye, target in zip(eyes + shake[:, :3], [0, height, 0] + shake[:, 3:])])
+    return np.stack(
+        [look_at(eye, target, UP) for eye, target in zip(eyes + shake[:, :3], [0, height, 0] + shake[:, 3:])]
+    )
 
 
 def arms(at: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
