@@ -6,7 +6,8 @@ Seed 0 of each kind of `tests.made.gestures` is for setting constants, seed 1 is
 are the true ones. Masks, poses and the fingers of each frame are true or, with `--own`, found as the stages masks and smpl find
 them; no file carries a face. Printed: PSNR and LPIPS in the boxes of the hands and of the head, in six new gestures: of the
 avatar with its fingers and face posed, and of the same avatar with both at rest. Boxes hold the true hand and the one at rest;
-those under 64 px are widened for LPIPS. Then how far fingers that were read are off, wrists put together. A picture of each
+those under 64 px are widened for LPIPS. For each, the person is moved so that its joint is where the true one is: a body whose feet
+no frame shows has a size of its own. Then how far fingers that were read are off, wrists put together. A picture of each
 clip shows truth, posed and rigid.
 """
 
@@ -46,7 +47,7 @@ from tests.benchmarks.loose import SEEDS, of_one, staged, trained
 from tests.made import datasets
 from tests.made.gestures import KINDS, Gestures, finger_points, gesturing, make
 from tests.made.learned import Learned, draw, load_learned, pose_of
-from tests.made.truth import align, in_result_world
+from tests.made.truth import align, in_result_world, joints_of
 
 SIZE = {"frames": 30, "width": 320, "height": 384}
 PARAMS = {"human_points": 20_000, "human_cap": 30_000, "scene_cap": 30_000, "scene_fill": 10_000}
@@ -77,20 +78,22 @@ def give_fingers(place: Path, turns: np.ndarray) -> None:
     write_hands(place / "smpl" / "hands.npz", hands)
 
 
-def boxes(views: Path) -> list[dict[str, list[Box]]]:
-    """Where the true hands, and hands at rest, and the head are in each of the true views of a folder; those that are whole."""
+def boxes(views: Path) -> list[dict[int, Box]]:
+    """Where the true hands, and hands at rest, and the head are in each of the true views of a folder, by their joint; those that
+    are whole."""
     cameras, poses, model = read_cameras(views / "cameras.npz"), read_poses(views / "body.npz"), read_body_model()
     bodies = gesturing(model, poses.betas, Gestures.read(views / "gestures.npz")), Body(model, dtype=torch.float64)
     pose = poses.betas, poses.global_orient, poses.body_pose, poses.transl
     skins = np.concatenate([person.pose_body(body, *pose)[1] for body in bodies], 1)
     pixels, _ = project(skins, cameras.viewmats, cameras.Ks)
     limbs = np.tile(model.lbs_weights, (2, 1)) > 0.5
-    found: list[dict[str, list[Box]]] = []
+    found: list[dict[int, Box]] = []
     for at in pixels:
-        each = [(*at[limb].min(0).astype(int), *(at[limb].max(0) + 1).astype(int)) for limb in limbs.T[[*HANDS, HEAD]]]
-        whole = [one for one in each if min(one) >= 0 and one[2] <= cameras.width and one[3] <= cameras.height]
+        each = {joint: at[limbs[:, joint]] for joint in (*HANDS, HEAD)}
+        each_box = {j: (*spots.min(0).astype(int), *(spots.max(0) + 1).astype(int)) for j, spots in each.items()}
+        size = cameras.width, cameras.height
         found.append(
-            {"hands": [one for one in each[:2] if one in whole], "head": [one for one in each[2:] if one in whole]}
+            {j: box for j, box in each_box.items() if min(box) >= 0 and box[2] <= size[0] and box[3] <= size[1]}
         )
     return found
 
@@ -107,21 +110,24 @@ def widened(box: Box, least: int, size: tuple[int, int]) -> Box:
 
 def novel(place: Path, clip: Clip, learned: Learned, lpips: Lpips) -> tuple[dict[str, Any], np.ndarray]:
     """Mean scores of new gestures by part and way, and a picture: truth above posed above rigid."""
-    views, truth = place.parent / "truth" / "novel", read_cameras(place.parent / "truth" / "cameras.npz")
-    similarity = align(clip.cameras, truth, clip.body.world_from_sfm)
-    cameras, poses = in_result_world(views, similarity, clip.body, clip.body_model, read_body_model())
+    views, model = place.parent / "truth" / "novel", read_body_model()
+    similarity = align(clip.cameras, read_cameras(place.parent / "truth" / "cameras.npz"), clip.body.world_from_sfm)
+    cameras, poses = in_result_world(views, similarity, clip.body, clip.body_model, model)
+    moves = similarity.to_result(joints_of(read_poses(views / "body.npz"), model)) - joints_of(poses, clip.body_model)
     new, where, tiles = Gestures.read(views / "gestures.npz"), boxes(views), []
     found: dict[str, dict[str, list[tuple[float, float]]]] = {part: {way: [] for way in WAYS} for part in PARTS}
     for i, name in enumerate(cameras.names):
         pose, wanted = pose_of(poses, i), read_image(views / "images" / f"{name}.png")
         camera = Camera.of(cameras.viewmats[i], cameras.Ks[i], cameras.width, cameras.height)
         people = learned.person(pose, new.hands[i], new.face[i]), learned.person(pose)
-        drawn = [draw(one, learned.shade(learned.scene, pose), camera)[0] for one in people]
-        tiles.append(np.concatenate([wanted, *map(to_uint8, drawn)]))
-        for part, way_boxes in where[i].items():
-            for box in way_boxes:
-                for way, picture in zip(WAYS, drawn):
-                    found[part][way].append(score(picture, wanted, box, lpips))
+        scene, drawn = learned.shade(learned.scene, pose), {}
+        for joint, box in where[i].items():
+            part = "head" if joint == HEAD else "hands"
+            for way, one in zip(WAYS, people):
+                moved = one._replace(means=one.means + torch.tensor(moves[i, joint], dtype=torch.float32))
+                drawn[way] = draw(moved, scene, camera)[0]
+                found[part][way].append(score(drawn[way], wanted, box, lpips))
+        tiles.append(np.concatenate([wanted, *(to_uint8(drawn[way]) for way in WAYS)]))
     rows = {
         part: {way: dict(zip(("psnr", "lpips"), map(fmean, zip(*each)))) for way, each in ways.items()}
         for part, ways in found.items()
