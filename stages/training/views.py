@@ -11,6 +11,8 @@ from torch import Tensor
 
 from stages.avatar.body.smpl import vertex_normals
 from stages.avatar.cameras.pinhole import onto
+from stages.avatar.drawing.attach import HandSkin
+from stages.avatar.drawing.avatar import Gloves
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.shadow import Casters, casters
 from stages.avatar.effects.speeds import Speeds
@@ -59,13 +61,32 @@ def halved(pictures: Tensor) -> Tensor:
     return torch.stack([one.permute(1, 2, 0) for one in small])
 
 
+class FittedHands(NamedTuple):
+    """The fingers of all frames: `turns` [F,2,15,3] rad, on joints[30,3] m at rest, and the pose `shape` [2,15,3] in which hands
+    learn; there their skin has `points` [V,3] m with `weights` [V,24+30].
+    """
+
+    joints: Tensor
+    shape: Tensor
+    turns: Tensor
+    points: Tensor
+    weights: Tensor
+
+    def worn(self, resting: Resting, bones: Tensor, frame: int) -> tuple[Resting, Tensor]:
+        """Someone at rest and their `bones` [J,4,4], with those of the fingers as they are in a frame."""
+        shares = HandSkin(self.points, self.weights).shares(resting.means, resting.weights)
+        gloves = Gloves(self.joints, self.shape, *shares)
+        fingers = gloves.bones(self.turns[frame], bones)
+        return resting._replace(weights=gloves.weights(resting.weights)), torch.cat([bones, fingers])
+
+
 class FittedBody(NamedTuple):
     """The fitted body of all frames, and what the canonical pose needs.
 
     global_orient[F,3], body_pose[F,69], transl[F,3], confidence[F] from 0 (no fit worth learning from) to 1, joints[24,3]
     at rest, parents, canonical_pose[69], template vertices[V,3] at the canonical pose with weights[V,J], faces[T,3],
     J: the bones of skeleton and clothes. `clothing`: the bones of clothes, or None; `cloth`: their Gaussians at the canonical
-    pose. `antialias`: how to draw.
+    pose. `antialias`: how to draw. `hands`: fingers, where the clip shows them.
     """
 
     global_orient: Tensor
@@ -81,6 +102,7 @@ class FittedBody(NamedTuple):
     clothing: Clothing | None = None
     antialias: bool = False
     cloth: Surfels | None = None
+    hands: FittedHands | None = None
 
     @property
     def own_bones(self) -> int:
@@ -113,7 +135,11 @@ class FittedBody(NamedTuple):
 
     def posed(self, resting: Resting, frame: int) -> Splats:
         """Someone at rest with this body and these clothes, as they stand in a frame."""
-        return pose(resting, self.bones(frame), self.transl[frame])._replace(antialias=self.antialias)
+        return self.placed(resting, self.bones(frame), self.transl[frame], frame)._replace(antialias=self.antialias)
+
+    def placed(self, resting: Resting, bones: Tensor, transl: Tensor, frame: int) -> Splats:
+        """Someone at rest, moved by `bones` [J,4,4] and `transl` [3] m, with the fingers of a frame."""
+        return pose(*((resting, bones) if self.hands is None else self.hands.worn(resting, bones, frame)), transl)
 
 
 def person_frames(body: FittedBody, views: Views, frames: list[int]) -> list[int]:

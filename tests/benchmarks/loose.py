@@ -74,8 +74,13 @@ def inputs(work: Path, garment: str, seed: int, own: bool) -> Path:
         if garment in one_pose.KINDS:
             clip = one_pose.make(garment, seed, SIZE["width"], SIZE["height"], SIZE["frames"])
         datasets.neuman(made, seed=seed, wears=wears, clip=clip, **SIZE)
-    if (place / "smpl" / "body.npz").exists():
-        return place
+    if not (place / "smpl" / "body.npz").exists():
+        staged(made, place, own)
+    return place
+
+
+def staged(made: Path, place: Path, own: bool) -> None:
+    """Make the folder `place` of what the stages before `survey` make of the clip `made`."""
     shutil.rmtree(place, ignore_errors=True)
     folders = {name: place / name for name in ("frames", "masks", "sfm", "smpl")}
     for folder in folders.values():
@@ -89,15 +94,16 @@ def inputs(work: Path, garment: str, seed: int, own: bool) -> Path:
     masks.run(jobs["masks"], masks.Params(), frames=frames)
     calibrated.run(jobs["sfm"], calibrated.Params(), frames=frames, masks=folders["masks"])
     smpl.run(jobs["smpl"], smpl.Params(), frames=frames, sfm=sfm)
-    return place
 
 
-def trained(place: Path, steps: int, own: bool, clothing: bool | None) -> tuple[Fit, dict[str, Any]]:
+def trained(
+    place: Path, steps: int, own: bool, clothing: bool | None, sizes: dict[str, int] = PARAMS
+) -> tuple[Fit, dict[str, Any]]:
     """The training of a clip, and what is to be said of it; `clothing` overrides the detector."""
     clip, facts = load_clip(place / "sfm", place / "smpl"), read_facts(place / "sfm" / "sfm.json", Sfm)
     finding = detect(ClipEvidence(clip, facts))
     on = finding.called_for if clothing is None else clothing
-    params = train.Params(steps=steps, **PARAMS)
+    params = train.Params(steps=steps, **sizes)
     fit = build(Task([clip], params, {"pose_refinement": own, "clothing": on}), lambda text: None)
     began = time.process_time()
     while fit.progress.step < steps:

@@ -23,6 +23,7 @@ from tests.benchmarks import (
     effect_models,
     effects,
     effects_off,
+    gestures,
     ideas,
     loose,
     posing,
@@ -61,6 +62,12 @@ def test_a_countdown_is_judged_at_half_time_and_until_it_is_nearly_over():
     said = [(0.0, 90.0), (30.0, 70.0), (49.0, 55.0), (51.0, 20.0), (97.0, 0.5), (99.0, 0.0)]
     found = promises.judged(said, 100.0)
     assert found == {"guess": 90, "took": 100, "to_go": 50, "said": 55, "off": 0.1, "least": 0.5}
+
+
+def test_a_box_that_is_too_small_is_widened_within_the_picture():
+    assert gestures.widened((10, 90, 30, 100), 64, (320, 100)) == (0, 36, 64, 100)
+    assert gestures.widened((300, 5, 320, 95), 64, (320, 100)) == (256, 5, 320, 95)
+    assert gestures.widened((100, 5, 130, 95), 64, (320, 100)) == (83, 5, 147, 95)
 
 
 @pytest.mark.slow
@@ -115,6 +122,7 @@ def test_benchmarks_that_are_run_by_hand_speak_of_what_there_is(tmp_path):
     assert set(loose.GARMENTS) == {*MAKERS, "none", *one_pose.KINDS}
     train.Params(**effect_models.PARAMS)
     train.Params(**loose.PARAMS)
+    train.Params(**gestures.PARAMS)
     for case in approximations.CASES.values():
         train.Params(**dict(case.settings))
         for file, text, _ in case.edits:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -17,6 +18,7 @@ from stages.avatar.body.smpl import Body
 from stages.avatar.drawing.avatar import load_avatar
 from stages.avatar.splats.neighbours import mean_near, nearest
 
+LIMBS = 24  # joints without fingers
 HELD = 0.02  # of a Gaussian's weights: less than that on a hand's joints is none of a finger's
 NEAR = 6  # points of the face whose mean move a Gaussian follows
 FACE = (0.015, 0.035)  # m from the face between which Gaussians move less and less: hair does not smile
@@ -36,34 +38,39 @@ def attach(
     shape = torch.zeros(2, 15, 3) if hands is None else torch.as_tensor(hands).float()
     resting = load_avatar(avatar).resting
     joints, tips = finger_joints(rig, vertices)
-    rows, shares = _fingers(rig, vertices, model.lbs_weights, joints, shape, resting.means, resting.weights)
-    fingers = gestures.Fingers(*(part.numpy() for part in (joints, tips, shape, rows, shares)))
+    rows, shares = HandSkin.of(rig, vertices, model.lbs_weights, shape).shares(resting.means, resting.weights)
+    fingers = gestures.Fingers(*(part.numpy() for part in (joints, tips, shape, rows.int(), shares)))
     if not len(rig.face_points):
         return replace(avatar, fingers=fingers)
     face = _face(rig, face_at(rig, model.v_template, model.shapedirs, betas), resting.means, resting.weights)
     return replace(avatar, fingers=fingers, face=face)
 
 
-def _fingers(
-    rig: gestures.HandsFace,
-    vertices: Tensor,
-    limbs: Tensor,
-    joints: Tensor,
-    shape: Tensor,
-    means: Tensor,
-    weights: Tensor,
-) -> tuple[Tensor, Tensor]:
-    """Each Gaussian of a hand shares its weight there as the vertices around do, where the hand is in `shape`."""
-    own = torch.as_tensor(rig.finger_weights)
-    skin = (limbs[:, list(HANDS)].sum(1) > 0).nonzero()[:, 0]
-    own, limbs, posed = own[skin], limbs[skin], bent_skin(rig, vertices, shape)[skin]
-    rows = (weights[:, list(HANDS)].sum(1) > HELD).nonzero()[:, 0]
-    near = knn_weights(means[rows], posed, torch.cat([limbs, own], 1), NEAR)
-    hand, found = near[:, list(HANDS)], near[:, limbs.shape[1] :].unflatten(1, (2, 15))
-    there = weights[rows][:, list(HANDS)]
-    shares = (found / hand.clamp_min(1e-6)[..., None] * there[..., None]).flatten(1)
-    kept = shares.amax(1) > 0
-    return rows[kept].int(), shares[kept]
+class HandSkin(NamedTuple):
+    """The skin of both hands of a body at rest, bent as in a clip: points [V,3] m, with weights [V,24+30] of limbs and fingers."""
+
+    points: Tensor
+    weights: Tensor
+
+    @classmethod
+    def of(cls, rig: gestures.HandsFace, vertices: Tensor, limbs: Tensor, shape: Tensor) -> HandSkin:
+        """Of `vertices` [V,3] m at rest with weights `limbs` [V,24], fingers in the pose `shape` [2,15,3] rad."""
+        skin, own = (limbs[:, list(HANDS)].sum(1) > 0).nonzero()[:, 0], torch.as_tensor(rig.finger_weights).to(limbs)
+        return cls(bent_skin(rig, vertices, shape)[skin], torch.cat([limbs, own], 1)[skin])
+
+    @torch.no_grad()
+    def shares(self, means: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
+        """Rows [M] of Gaussians of the hands, at rest at means[N,3] m with weights[N,J], and what fingers take of these [M,30].
+
+        Each shares its weight on a hand as the skin around it does.
+        """
+        rows = (weights[:, list(HANDS)].sum(1) > HELD).nonzero()[:, 0]
+        near = knn_weights(means[rows], self.points, self.weights, NEAR)
+        hand, found = near[:, list(HANDS)], near[:, LIMBS:].unflatten(1, (2, 15))
+        there = weights[rows][:, list(HANDS)]
+        shares = (found / hand.clamp_min(1e-6)[..., None] * there[..., None]).flatten(1)
+        kept = shares.amax(1) > 0
+        return rows[kept], shares[kept]
 
 
 def _face(rig: gestures.HandsFace, points: Tensor, means: Tensor, weights: Tensor) -> gestures.Face:

@@ -51,6 +51,11 @@ class Gloves(NamedTuple):
         weights[self.rows] = hands / hands.sum(1, keepdim=True)
         return weights
 
+    def bones(self, hands: Tensor, bones: Tensor) -> Tensor:
+        """Finger bones [...,30,4,4] from where they lie to `hands` [...,2,15,3] rad, on a body with `bones` [...,J,4,4]."""
+        still = torch.eye(4).to(self.joints).expand(bones.shape[-3], 4, 4)
+        return finger_bones(self.joints, hands, bones) @ torch.linalg.inv(finger_bones(self.joints, self.shape, still))
+
 
 class Mien(NamedTuple):
     """A face as `gestures.Face` holds it, as tensors, with `moves` [52,3M]."""
@@ -154,9 +159,7 @@ def fingers_of(avatar: Baked, hands: Tensor, bones: Tensor) -> Tensor:
     """Finger bones [...,30,4,4] from where they lie in the avatar to `hands` [...,2,15,3] rad; ValueError where it has none."""
     if avatar.gloves is None:
         raise ValueError("the avatar has no fingers")
-    joints, shape, *_ = avatar.gloves
-    still = torch.eye(4).to(joints).expand(len(avatar.parents), 4, 4)
-    return finger_bones(joints, hands, bones) @ torch.linalg.inv(finger_bones(joints, shape, still))
+    return avatar.gloves.bones(hands, bones)
 
 
 def bones_of(avatar: Baked, global_orient: Tensor, body_pose: Tensor, hands: Tensor | None = None) -> Tensor:

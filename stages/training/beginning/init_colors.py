@@ -7,7 +7,7 @@ from torch import Tensor
 
 from stages.avatar.cameras.pinhole import onto
 from stages.avatar.model.human import HumanModel
-from stages.avatar.model.person import pose, rest
+from stages.avatar.model.person import rest
 from stages.avatar.splats.neighbours import nearest
 from stages.training.views import NEAR, FittedBody, Views
 
@@ -27,7 +27,7 @@ def seen_colors(human: HumanModel, person: FittedBody, views: Views, frames: lis
     total, weight = torch.zeros_like(canonical.means), torch.zeros_like(canonical.means[:, 0])
     height, width = views.masks.shape[1:]
     for f in frames:
-        splats = pose(resting, person.bones(f), person.transl[f])
+        splats = person.posed(resting, f)
         viewmat, K = views.viewmats[f], views.Ks[f]
         local = splats.means @ viewmat[:3, :3].T + viewmat[:3, 3]
         normal = torch.nn.functional.normalize(splats.axes[:, :, 2] @ viewmat[:3, :3].T, dim=1)

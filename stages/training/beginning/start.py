@@ -11,9 +11,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stages.avatar.body.fingers import bent_skin
+from stages.avatar.body.fingers import bent_skin, finger_joints
 from stages.avatar.body.hull import CELL
 from stages.avatar.body.smpl import DA_POSE, Body
+from stages.avatar.drawing.attach import HandSkin
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.effects.shading import Shading
 from stages.avatar.effects.shadow import DARKNESS
@@ -36,7 +37,7 @@ from stages.training.step.outlines import Outline, outlines
 from stages.training.step.person import Starting
 from stages.training.step.schedule import Options
 from stages.training.step.transients import Transients
-from stages.training.views import FittedBody, Views
+from stages.training.views import FittedBody, FittedHands, Views
 
 PAINTED = 24  # frames from which the person's first colours are read
 SEEN = 0.6  # share of the person's surface below which the clip shows too few sides
@@ -178,9 +179,15 @@ class _Start:
         pose = torch.zeros_like(DA_POSE) if self.decisions.get("clothing", False) else DA_POSE
         vertices, _ = body(betas, torch.zeros(1, 3), pose[None], torch.zeros(1, 3))
         rig = None if clip.hand_shape is None else read_hands_face(model)
+        hands = None
         if rig is not None:  # the canonical pose leaves arms as they are at rest
             rest, _ = body.rest(betas)
-            vertices = vertices + bent_skin(rig, rest, torch.as_tensor(clip.hand_shape).float()) - rest
+            shape = torch.as_tensor(clip.hand_shape).float()
+            vertices = vertices + bent_skin(rig, rest, shape) - rest
+            if fitted.hands is not None:
+                skin = HandSkin.of(rig, rest, body.lbs_weights, shape)
+                joints, turns = finger_joints(rig, rest)[0], torch.as_tensor(fitted.hands).float()
+                hands = FittedHands(*(part.to(self.device) for part in (joints, shape, turns, *skin)))
         return FittedBody(
             self._tensor(fitted.global_orient),
             self._tensor(fitted.body_pose),
@@ -192,6 +199,7 @@ class _Start:
             vertices=self._tensor(vertices[0]),
             weights=body.lbs_weights.to(self.device),
             faces=torch.as_tensor(np.asarray(model.faces).astype(np.int64), device=self.device),
+            hands=hands,
         )
 
     def _clothed(self, person: FittedBody, views: Views, seen: Outline | None) -> FittedBody:

@@ -19,7 +19,7 @@ from stages.avatar.effects.shadow import Casters
 from stages.avatar.kernels.products import products, turned
 from stages.avatar.model.decoders import OWN
 from stages.avatar.model.human import HumanModel
-from stages.avatar.model.person import Canonical, Resting, bone_transforms, pose, rest, taken_back
+from stages.avatar.model.person import Canonical, Resting, bone_transforms, rest, taken_back
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.neighbours import nearest
 from stages.training.seen import as_body_where_unseen
@@ -245,4 +245,4 @@ class Learning:
         if body.clothing is not None:
             swing = body.clothing.swing(body_pose) if self.clothed else None
             bones = body.clothing.hang(bones, self.who.corrections.swing_of(frame if swings else None, swing))
-        return pose(self.resting, bones, transl)._replace(antialias=self.antialias)
+        return body.placed(self.resting, bones, transl, frame)._replace(antialias=self.antialias)

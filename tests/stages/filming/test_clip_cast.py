@@ -12,8 +12,10 @@ from torch.nn.functional import normalize
 
 from stages import evaluate, export, render
 from stages.avatar.body.smpl import Body, vertex_normals
+from stages.avatar.drawing.attach import attach
 from stages.avatar.drawing.avatar import load_avatar
 from stages.avatar.drawing.rig import rig_of
+from stages.avatar.motion.gestures import fist
 from stages.commands import report
 from stages.commands.report import clip as of_clip
 from stages.commands.report import results
@@ -25,6 +27,7 @@ from stages.formats.body_model import read_body_model
 from stages.formats.clip import load_people
 from stages.formats.facts import Metrics, Seconds
 from stages.formats.ground import read_ground
+from stages.formats.hands_face import read_hands_face
 from stages.formats.images import read_image
 from stages.formats.people import folder_of
 from stages.formats.poses import read_poses
@@ -74,6 +77,20 @@ def test_each_frame_has_those_whom_it_shows(clip):
     assert known.tolist() == [i not in (1, tiny.EMPTY) for i in range(len(known))], "where the fit trusts the pose"
     both = clips[0].mask(0) > 127
     assert (both == ((clips[0].own_mask(0) > 127) | (clips[1].own_mask(0) > 127))).mean() > 0.99
+
+
+def test_fingers_are_in_each_frame_as_the_clip_shows_them(clip):
+    """Of an avatar that has some; without, it stands in the same frames."""
+    (one, _), avatar = load_people(clip["sfm"], clip["smpl"]), read_avatar(clip["train"] / "avatar.npz")
+    turns = np.zeros((len(one.names), 2, 15, 3))
+    turns[1] = fist()
+    shown, gloved = (
+        replace(one, body=replace(one.body, hands=turns)),
+        attach(avatar, one.body_model, read_hands_face(one.body_model)),
+    )
+    rest, closed = (posed_as(shown, gloved, "cpu").splats(i).means for i in (0, 1))
+    still = [posed_as(shown, avatar, "cpu").splats(i).means for i in (0, 1)]
+    assert (rest - still[0]).norm(dim=1).max() < 1e-5 and (closed - still[1]).norm(dim=1).max() > 0.05
 
 
 @pytest.mark.slow

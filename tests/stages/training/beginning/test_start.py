@@ -7,8 +7,12 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from stages.avatar.body.fingers import bent_skin
 from stages.avatar.body.joints import HANDS
+from stages.avatar.body.smpl import Body
+from stages.avatar.model.person import Canonical, rest
 from stages.formats.clip import load_clip
+from stages.formats.hands_face import read_hands_face
 from stages.training.beginning.start import Task, build
 from stages.training.settings import Params
 
@@ -25,3 +29,23 @@ def test_the_persons_hands_begin_as_the_clip_shows_them(tiny):
     far = (still.body.vertices - moved.body.vertices).norm(dim=1)
     hand = still.body.weights[:, HANDS[0]] > 0
     assert far[hand].max() > 0.03 and far[~hand].max() < 1e-6 and torch.equal(still.body.joints, moved.body.joints)
+
+
+def test_a_hand_stands_in_each_frame_as_that_frame_shows_its_fingers(tiny):
+    """A frame with the clip's one shape is drawn as without fingers; where the index bends more, its skin goes along."""
+    clip, params = load_clip(tiny["sfm"], tiny["smpl"]), Params(human_points=2000, channels=4, resolution=16)
+    turns = np.zeros((len(clip.names), 2, 15, 3))
+    turns[1, 0, :3, 2] = -0.8
+    body = replace(clip.body, hands=turns)
+    rigid, moved = (
+        build(Task([replace(clip, hand_shape=turns[0], body=each)], params, {"scene": False}), print).people[0].body
+        for each in (clip.body, body)
+    )
+    rows, flat = len(rigid.vertices), torch.zeros(len(rigid.vertices), 3)
+    parts = torch.eye(3).expand(rows, 3, 3), flat, flat[:, 0], flat[:, None], rigid.weights, flat
+    resting = rest(Canonical(rigid.vertices, *parts), rigid.canonical_bones())
+    off = [moved.posed(resting, i).means - rigid.posed(resting, i).means for i in (0, 1)]
+    rig, skin = read_hands_face(clip.body_model), Body(clip.body_model).rest(torch.tensor(clip.body.betas).float())[0]
+    wanted = (bent_skin(rig, skin, torch.tensor(turns[1]).float()) - skin).norm(dim=1)
+    assert off[0].norm(dim=1).max() < 1e-5 and wanted.max() > 0.03
+    assert (off[1].norm(dim=1) - wanted).abs().max() < 0.003
