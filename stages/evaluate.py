@@ -170,11 +170,11 @@ class Shot:
 
         from stages.avatar.measures.metrics import person_crop
 
-        clip, self.person = clips[k], cast.people[k]
+        clip, self.person = clips[k], cast.people[k].row(i)
         like = self.person.transl
         there = [n for n, one in enumerate(cast.people) if one.shown(i)]
         self.row, self.lit = there.index(k) if k in there else None, cast.effects.lit
-        self.pose = self.person.global_orient[i], self.person.body_pose[i], self.person.transl[i]
+        self.pose = self.person.global_orient[0], self.person.body_pose[0], self.person.transl[0]
         with torch.no_grad():
             self.moment = cast.at(i)
         self.image = torch.tensor(clip.images(i)).to(like) / 255

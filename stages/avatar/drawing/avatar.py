@@ -88,6 +88,12 @@ class Baked(NamedTuple):
     gloves: Gloves | None = None
     face: Mien | None = None
 
+    @property
+    def is_gloved(self) -> bool:
+        """Whether Gaussians hang on finger bones."""
+        own = len(self.parents) + (0 if self.clothing is None else len(self.clothing))
+        return self.resting.weights.shape[1] > own
+
 
 def load_avatar(avatar: records.Avatar, device: str | torch.device = "cpu") -> Baked:
     """The avatar's tensors, float32 on `device`, its Gaussians taken back to the rest pose.
@@ -128,6 +134,8 @@ def gloved(avatar: Baked) -> Baked:
     """The avatar with weights for its finger bones, the last of all; ValueError where it has none."""
     if avatar.gloves is None:
         raise ValueError("the avatar has no fingers")
+    if avatar.is_gloved:
+        return avatar
     weights = avatar.gloves.weights(avatar.resting.weights)
     return avatar._replace(resting=avatar.resting._replace(weights=weights), few=without_zeros(weights))
 
@@ -163,12 +171,17 @@ def fingers_of(avatar: Baked, hands: Tensor, bones: Tensor) -> Tensor:
 
 
 def bones_of(avatar: Baked, global_orient: Tensor, body_pose: Tensor, hands: Tensor | None = None) -> Tensor:
-    """All bones [...,J,4,4] from rest to poses [...,3] and [...,69]: the skeleton's, those of the clothes, as they swing, and with
-    `hands` [...,2,15,3] rad, for which an avatar is `gloved`, the fingers'.
+    """All bones [...,J,4,4] from rest to poses [...,3] and [...,69]: the skeleton's, those of the clothes, as they swing, and where
+    an avatar is `gloved` the fingers' in the pose `hands` [...,2,15,3] rad, by default that in which they lie.
     """
-    if hands is not None:
-        bones = bones_of(avatar, global_orient, body_pose)
-        return torch.cat([bones, fingers_of(avatar, hands, bones)], -3)
+    bones = _bones_of(avatar, global_orient, body_pose)
+    if hands is None and avatar.gloves is not None and avatar.is_gloved:
+        hands = avatar.gloves.shape.expand(*bones.shape[:-3], -1, -1, -1)
+    return bones if hands is None else torch.cat([bones, fingers_of(avatar, hands, bones)], -3)
+
+
+def _bones_of(avatar: Baked, global_orient: Tensor, body_pose: Tensor) -> Tensor:
+    """Those of skeleton and clothes."""
     clothing, joints = avatar.clothing, avatar.joints
     if clothing is None:
         return bone_transforms(joints, avatar.parents, global_orient, body_pose)

@@ -46,6 +46,17 @@ def test_without_hands_and_face_all_is_as_before_to_the_bit(bare, record):
     )
 
 
+def test_who_moves_fingers_in_a_clip_is_drawn_in_one_of_its_poses_and_in_others_without(record):
+    parts, hands = [torch.stack(2 * [part]) for part in pose()], torch.zeros(2, 2, 15, 3)
+    hands[1, 0, INDEX[0], 2] = -1.2
+    clip = PosedAvatar.of(load_avatar(record), *parts, hands=hands)
+    one = replace(clip.row(1), body_pose=parts[1][:1])
+    torch.testing.assert_close(one.splats(0).means, clip.splats(1).means)
+    still = PosedAvatar.of(clip.avatar, *pose()).splats(0).means
+    torch.testing.assert_close(still, pose_avatar(load_avatar(record), *pose()).means, atol=2e-6, rtol=0)
+    assert (still - one.splats(0).means).abs().max() > 0.04
+
+
 def test_an_index_finger_moves_its_gaussians_and_no_others(record):
     hands = torch.zeros(1, 2, 15, 3)
     hands[0, 0, INDEX[0], 2] = -1.2
