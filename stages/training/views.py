@@ -12,7 +12,7 @@ from torch import Tensor
 from stages.avatar.body.smpl import vertex_normals
 from stages.avatar.cameras.pinhole import onto
 from stages.avatar.drawing.attach import HandSkin
-from stages.avatar.drawing.avatar import Gloves
+from stages.avatar.drawing.avatar import Gloves, turned_fingers
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.shadow import Casters, casters
 from stages.avatar.effects.speeds import Speeds
@@ -72,12 +72,9 @@ class FittedHands(NamedTuple):
     points: Tensor
     weights: Tensor
 
-    def worn(self, resting: Resting, bones: Tensor, frame: int) -> tuple[Resting, Tensor]:
-        """Someone at rest and their `bones` [J,4,4], with those of the fingers as they are in a frame."""
-        shares = HandSkin(self.points, self.weights).shares(resting.means, resting.weights)
-        gloves = Gloves(self.joints, self.shape, *shares)
-        fingers = gloves.bones(self.turns[frame], bones)
-        return resting._replace(weights=gloves.weights(resting.weights)), torch.cat([bones, fingers])
+    def gloves(self, means: Tensor, weights: Tensor) -> Gloves:
+        """What Gaussians at rest at means[N,3] m, with weights[N,J] without fingers, have of them."""
+        return Gloves(self.joints, self.shape, *HandSkin(self.points, self.weights).shares(means, weights))
 
 
 class FittedBody(NamedTuple):
@@ -139,7 +136,16 @@ class FittedBody(NamedTuple):
 
     def placed(self, resting: Resting, bones: Tensor, transl: Tensor, frame: int) -> Splats:
         """Someone at rest, moved by `bones` [J,4,4] and `transl` [3] m, with the fingers of a frame."""
-        return pose(*((resting, bones) if self.hands is None else self.hands.worn(resting, bones, frame)), transl)
+        if (hands := self.hands) is not None:
+            bones = torch.cat([bones, turned_fingers(hands.joints, hands.shape, hands.turns[frame], bones)])
+        return pose(self.gloved(resting), bones, transl)
+
+    def gloved(self, resting: Resting) -> Resting:
+        """Someone at rest with weights for fingers, if the clip shows these; who has them already stays as they are."""
+        if self.hands is None or resting.weights.shape[1] > len(self.joints) + self.own_bones:
+            return resting
+        gloves = self.hands.gloves(resting.means, resting.weights)
+        return resting._replace(weights=gloves.weights(resting.weights))
 
 
 def person_frames(body: FittedBody, views: Views, frames: list[int]) -> list[int]:

@@ -53,8 +53,15 @@ class Gloves(NamedTuple):
 
     def bones(self, hands: Tensor, bones: Tensor) -> Tensor:
         """Finger bones [...,30,4,4] from where they lie to `hands` [...,2,15,3] rad, on a body with `bones` [...,J,4,4]."""
-        still = torch.eye(4).to(self.joints).expand(bones.shape[-3], 4, 4)
-        return finger_bones(self.joints, hands, bones) @ torch.linalg.inv(finger_bones(self.joints, self.shape, still))
+        return turned_fingers(self.joints, self.shape, hands, bones)
+
+
+def turned_fingers(joints: Tensor, shape: Tensor, hands: Tensor, bones: Tensor) -> Tensor:
+    """Finger bones [...,30,4,4] with `joints` [30,3] m from the pose `shape` [2,15,3] to `hands` [...,2,15,3] rad, on a body with
+    `bones` [...,J,4,4].
+    """
+    still = torch.eye(4).to(joints).expand(bones.shape[-3], 4, 4)
+    return finger_bones(joints, hands, bones) @ torch.linalg.inv(finger_bones(joints, shape, still))
 
 
 class Mien(NamedTuple):

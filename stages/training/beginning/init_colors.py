@@ -23,7 +23,7 @@ def seen_colors(human: HumanModel, person: FittedBody, views: Views, frames: lis
     cosine. The others take the colour of the nearest seen one in the canonical pose; 0.5 if none is seen at all.
     """
     canonical, *_ = human()
-    resting = rest(canonical, person.canonical_bones())
+    resting = person.gloved(rest(canonical, person.canonical_bones()))
     total, weight = torch.zeros_like(canonical.means), torch.zeros_like(canonical.means[:, 0])
     height, width = views.masks.shape[1:]
     for f in frames:

@@ -73,7 +73,7 @@ def _sights(person: Canonical, body: FittedBody, views: Views, frames: list[int]
     The share is 1 if all look along it, 1/3 if they look from everywhere, 0 if nobody looks.
     """
     turned = person._replace(rotations=torch.eye(3).to(person.rotations).expand_as(person.rotations))
-    resting = rest(turned._replace(scales=torch.ones_like(person.scales)), body.canonical_bones())
+    resting = body.gloved(rest(turned._replace(scales=torch.ones_like(person.scales)), body.canonical_bones()))
     looks = torch.zeros_like(person.rotations)
     for i in person_frames(body, views, frames):
         splats = body.posed(resting, i)

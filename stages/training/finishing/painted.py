@@ -42,7 +42,8 @@ def count_pixels(person: Canonical, body: FittedBody, views: Views, frames: list
     bones = body.canonical_bones()
     surface, normals, _ = body.surface()
     outwards = normals[nearest(surface, person.means, 1)[1][:, 0]]
-    resting, skin = rest(person, bones), rest(person._replace(rotations=rotation_z_to(outwards)), bones)
+    resting = body.gloved(rest(person, bones))
+    skin = body.gloved(rest(person._replace(rotations=rotation_z_to(outwards)), bones))
     counts, along, pixels = torch.zeros_like(person.means), torch.zeros_like(person.means), 0.0
     clear, straight = torch.zeros(2, *person.opacities.shape).to(person.opacities)
     for i in person_frames(body, views, frames):

@@ -78,7 +78,7 @@ def settle(
     """
     steps = min(STEPS, round(SHARE * taken))
     learner, scales = who.who, person.scales
-    seen, resting = learner.masked(views), rest(person, learner.canonical_bones)
+    seen, resting = learner.masked(views), learner.body.gloved(rest(person, learner.canonical_bones))
     first = person.sh, person.opacities, scales, person.means
     change = Change(*(torch.zeros_like(part).requires_grad_() for part in first))
     adam = torch.optim.Adam([{"params": [part], "name": name} for name, part in change._asdict().items()], eps=1e-15)

@@ -298,7 +298,7 @@ class Fit:
     @torch.no_grad()
     def baked(self, who: PersonLearner) -> Learning:
         """Somebody as they are baked now, in the corrected poses of all frames; no gradients."""
-        return self.performer(who, who.baked()[1], partial(at_frame, self.poses(who)))
+        return self.performer(who, who.body.gloved(who.baked()[1]), partial(at_frame, self.poses(who)))
 
     def cast(self, people: Sequence[Learning] | None = None) -> Cast:
         """The `people`, None: all, `baked`, and the scene; no gradients."""

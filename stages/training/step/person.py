@@ -110,8 +110,8 @@ class PersonLearner:
         leaves = self._decoded() if learn else {name: leaf.detach() for name, leaf in self._decoded().items()}
         rotations, scales, opacities, sh, changed = self.human.look(*(leaves[name] for name in OWN))
         self.pull, axes = losses.REGULAR * changed, products(leaves["rotations"], rotations * scales[:, None, :])
-        own = leaves["weights"], leaves["rotations"], self.normals
-        return Resting(leaves["means"], axes, opacities, sh, *own)
+        weights = leaves["weights"] if self.gloves is None else self.gloves.weights(leaves["weights"])
+        return Resting(leaves["means"], axes, opacities, sh, weights, leaves["rotations"], self.normals)
 
     def _decoded(self) -> dict[str, Tensor]:
         if self.leaves is None:
@@ -120,6 +120,8 @@ class PersonLearner:
             self.prior = losses.OUTSIDE * outside_box + losses.REGULAR * moved + losses.SMOOTH * rough
             means, rotations = taken_back(shared.means, shared.weights, self.canonical_bones)
             self.normals = turned(rotations.detach(), self.human.normals)
+            hands = self.body.hands
+            self.gloves = None if hands is None else hands.gloves(means.detach(), shared.weights.detach())
             self.shared, self.decoded = shared, shared._asdict() | {"means": means, "rotations": rotations}
             # those of OWN also without networks, for `color_grad_sum`
             taught = {name: t.requires_grad or name in OWN for name, t in self.decoded.items()}
