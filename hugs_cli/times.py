@@ -71,13 +71,12 @@ class Guess(NamedTuple):
 
 
 USUAL: dict[str, tuple[Sizes, dict[str, float]]] = {
-    "default": (Sizes(), {"frames": 2.0, "masks": 16.0, "sfm": 14.0, "smpl": 15.0, "survey": 6.0, "train": 242.0,
-                          "export": 9.0, "render": 9.0, "evaluate": 31.0}),
+    "default": (Sizes(), {"frames": 2.4, "masks": 28.8, "sfm": 20.4, "smpl": 30.6, "survey": 10.2, "train": 272.4,
+                          "export": 16.2, "render": 15.0, "evaluate": 52.2}),
     "preview": (Sizes(20, 267 * 480, 200), {"frames": 1.1, "masks": 6.2, "sfm": 2.8, "smpl": 11.7, "survey": 4.9,
                                             "train": 18.2, "export": 1.9, "render": 3.4, "evaluate": 2.2}),
 }  # fmt: skip
-"""Pipeline -> sizes, and seconds of its stages; others are as `default`. The phone clip, 2 idle cores, November 2026: 5 min 45 s,
-shared out as in runs beside other work (docs/lab/2026-11/pipelines-and-people.md)."""
+"""Pipeline -> sizes, and seconds of its stages; others are as `default`. The phone clip, 2 idle cores of Zen 4, November 2026."""
 TOGETHER, USUALLY = {"train": 0.9, "masks": 0.7, "evaluate": 0.7, "smpl": 0.1, "survey": 0.2}, 0.4
 """Share of its time in which a stage uses all processors: `preview` beside two busy processes, 2 cores of Zen 4, November 2026."""
 COMPILING = 34.0  # s in which a training compiles kernels; `preview`, then again, 2 idle cores of Zen 4, November 2026
@@ -109,12 +108,12 @@ def usual(pipeline: str, stage: str, sizes: Sizes) -> float:
 
 
 def sizes_of(session: Session, picked: bool) -> Sizes:
-    """The sizes of a clip; until its frames are `picked` those that are asked for."""
+    """The sizes of a clip; until its frames are `picked` those that are asked for, as far as the film has them."""
     stages = session.pipeline.stages
-    asked = stages["frames"].params.model_dump() if "frames" in stages else {}
-    side = asked.get("max_side", 0)
     steps = stages["train"].params.model_dump().get("steps", 0) if "train" in stages else 0
-    sizes = Sizes(asked.get("count") or Sizes().frames, side * side * 9 / 16 or Sizes().pixels, steps)
+    sizes, picks = Sizes(steps=steps), stages.get("frames")
+    if picks is not None and (expected := load_stage(picks.module).sizes) is not None:
+        sizes = Sizes(*expected(picks.params, session.video), steps)
     if picked:
         facts = read_json(session.workspace.links / "frames" / "frames.json")
         with suppress(KeyError, TypeError):

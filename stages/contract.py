@@ -202,6 +202,8 @@ class StageModule:
     which are None where they are not given."""
     compiled: Callable[[], bool] | None = None
     """compiled(): whether the kernels that it runs on a CPU are there, and need not be compiled first."""
+    sizes: Callable[[Any, Path], tuple[float, float]] | None = None
+    """sizes(params, video): how many frames, of how many pixels each, it will probably pick."""
     published: Published | None = None
     """published(dataset, sequence): the paper's PSNR, SSIM and LPIPS by region, empty if it has none."""
 
@@ -225,7 +227,7 @@ def keywords(function: Callable[..., None]) -> list[str]:
 def load_stage(name: str) -> StageModule:
     """Import a stage's module by its dotted name. The only way from the command line to a stage."""
     module = importlib.import_module(name)
-    known = ("RESUMES", "LOADS", "cost", "SHORTER", "check", "compiled", "published")
+    known = ("RESUMES", "LOADS", "cost", "SHORTER", "check", "compiled", "sizes", "published")
     optional = {key: getattr(module, key, None) for key in known}
     given = {key.lower(): value for key, value in optional.items() if value is not None}
     return StageModule(module.Params, module.run, **given)

@@ -51,6 +51,20 @@ def check(params: Params, *, video: Path) -> None:
     check_video(Job(Path()), described(params, video))
 
 
+def sizes(params: Params, video: Path) -> tuple[float, float]:
+    """How many frames, of how many pixels each, will be picked, by the header of the film; without one, 16:9 is assumed."""
+    from stages.formats.video import open_video
+
+    try:
+        container, stream = open_video(video)
+    except (StageError, OSError):  # `check` says so; pictures in a folder have no header
+        return params.count, params.max_side**2 * 9 / 16
+    with container:
+        smaller = min(1.0, params.max_side / max(stream.width, stream.height, 1))
+        frames = min(params.count, stream.frames) if stream.frames else params.count
+        return frames, smaller**2 * stream.width * stream.height
+
+
 def run(job: Job, params: Params, *, video: Path) -> None:
     """Write images/%06d.png (numbered by the frame in the video) and frames.json.
 
