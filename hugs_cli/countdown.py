@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from itertools import accumulate
 from typing import Any
 
 from hugs_cli.times import Guess
@@ -87,9 +86,7 @@ class Countdown:
 
     def __init__(self, stages: Iterable[tuple[str, Guess]]):
         self.stages = list(stages)
-        self.seen: list[
-            tuple[float, float]
-        ] = []  # of stages that have ended, without compiling: s that they took, s guessed
+        self.took = self.guessed = 0.0  # s of stages that have ended, without compiling
 
     def started(self, stage: str) -> None:
         """A stage begins: those expected before it are not run after all."""
@@ -98,7 +95,8 @@ class Countdown:
     def ended(self, stage: str, seconds: float, compiling: float) -> None:
         """A stage that had begun has ended, after `seconds`, in some of which it was `compiling`."""
         if self.stages and self.stages[0][0] == stage:
-            self.seen.append((seconds - compiling, self.stages.pop(0)[1].running))
+            self.took += seconds - compiling
+            self.guessed += self.stages.pop(0)[1].running
 
     def left(self, stage: str, progress: Progress, now: float) -> float | None:
         """Seconds until the last stage ends, while `stage` runs; None where nothing was expected."""
@@ -122,7 +120,7 @@ class Countdown:
     @property
     def _whole(self) -> float:
         """Guessed seconds of all stages, without compiling."""
-        return sum(guessed for _, guessed in self.seen) + sum(one.running for _, one in self.stages)
+        return self.guessed + sum(one.running for _, one in self.stages)
 
     def _sure(self, progress: Progress) -> float:
         """How much the running stage's own numbers show, 0 to 1: less after a short time."""
@@ -130,14 +128,9 @@ class Countdown:
         return min(1.0, (seen[-1][0] - seen[0][0]) / (SURE * self._whole)) if seen else 0.0
 
     def _slow(self, guess: Guess, sure: float, progress: Progress, now: float) -> float:
-        """How many times as long as guessed stages take: the median of those that have ended and the running one, by its own
-        number, each counted by its guess. One stage that a clip makes slow does not make the others slow."""
-        seen, own, mark = list(self.seen), progress.left(now), progress.marks.since()
+        """How many times as long as guessed stages take: those that have ended, and the running one, by its own number."""
+        took, guessed, own, mark = self.took, self.guessed, progress.left(now), progress.marks.since()
         if own is not None and mark and (ahead := 1 - mark[1] / max(progress.event["total"], 1)) > 0:
-            share = sure * progress.done
-            seen.append((share * (now - mark[0] + own) / ahead, share * guess.running))
-        seen = sorted((took / guessed, guessed) for took, guessed in seen if took > 0 and guessed > 0)
-        known = sum(guessed for _, guessed in seen)
-        below = accumulate(guessed for _, guessed in seen)
-        middle = next((slow for (slow, _), done in zip(seen, below) if done >= known / 2), 1.0)
-        return middle ** (known / (known + GUESSED * self._whole))
+            took += sure * progress.done * (now - mark[0] + own) / ahead
+            guessed += sure * progress.done * guess.running
+        return (took / guessed) ** (guessed / (guessed + GUESSED * self._whole)) if took > 0 and guessed > 0 else 1.0
