@@ -62,19 +62,18 @@ def halved(pictures: Tensor) -> Tensor:
 
 
 class FittedHands(NamedTuple):
-    """The fingers of all frames: `turns` [F,2,15,3] rad, on joints[30,3] m at rest, and the pose `shape` [2,15,3] in which hands
-    learn; there their skin has `points` [V,3] m with `weights` [V,24+30].
+    """The fingers of all frames: `turns` [F,2,15,3] rad, on joints[30,3] m at rest; and the pose `shape` [2,15,3] in which hands
+    learn, with their `skin` in it.
     """
 
     joints: Tensor
     shape: Tensor
     turns: Tensor
-    points: Tensor
-    weights: Tensor
+    skin: HandSkin
 
     def gloves(self, means: Tensor, weights: Tensor) -> Gloves:
         """What Gaussians at rest at means[N,3] m, with weights[N,J] without fingers, have of them."""
-        return Gloves(self.joints, self.shape, *HandSkin(self.points, self.weights).shares(means, weights))
+        return Gloves(self.joints, self.shape, *self.skin.shares(means, weights))
 
 
 class FittedBody(NamedTuple):

@@ -18,7 +18,6 @@ from stages.avatar.body.smpl import Body
 from stages.avatar.drawing.avatar import load_avatar
 from stages.avatar.splats.neighbours import mean_near, nearest
 
-LIMBS = 24  # joints without fingers
 HELD = 0.02  # of a Gaussian's weights: less than that on a hand's joints is none of a finger's
 NEAR = 6  # points of the face whose mean move a Gaussian follows
 FACE = (0.015, 0.035)  # m from the face between which Gaussians move less and less: hair does not smile
@@ -66,7 +65,7 @@ class HandSkin(NamedTuple):
         """
         rows = (weights[:, list(HANDS)].sum(1) > HELD).nonzero()[:, 0]
         near = knn_weights(means[rows], self.points, self.weights, NEAR)
-        hand, found = near[:, list(HANDS)], near[:, LIMBS:].unflatten(1, (2, 15))
+        hand, found = near[:, list(HANDS)], near[:, records.JOINTS :].unflatten(1, (2, 15))
         there = weights[rows][:, list(HANDS)]
         shares = (found / hand.clamp_min(1e-6)[..., None] * there[..., None]).flatten(1)
         kept = shares.amax(1) > 0

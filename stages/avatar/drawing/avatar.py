@@ -51,10 +51,6 @@ class Gloves(NamedTuple):
         weights[self.rows] = hands / hands.sum(1, keepdim=True)
         return weights
 
-    def bones(self, hands: Tensor, bones: Tensor) -> Tensor:
-        """Finger bones [...,30,4,4] from where they lie to `hands` [...,2,15,3] rad, on a body with `bones` [...,J,4,4]."""
-        return turned_fingers(self.joints, self.shape, hands, bones)
-
 
 def turned_fingers(joints: Tensor, shape: Tensor, hands: Tensor, bones: Tensor) -> Tensor:
     """Finger bones [...,30,4,4] with `joints` [30,3] m from the pose `shape` [2,15,3] to `hands` [...,2,15,3] rad, on a body with
@@ -174,7 +170,7 @@ def fingers_of(avatar: Baked, hands: Tensor, bones: Tensor) -> Tensor:
     """Finger bones [...,30,4,4] from where they lie in the avatar to `hands` [...,2,15,3] rad; ValueError where it has none."""
     if avatar.gloves is None:
         raise ValueError("the avatar has no fingers")
-    return avatar.gloves.bones(hands, bones)
+    return turned_fingers(avatar.gloves.joints, avatar.gloves.shape, hands, bones)
 
 
 def bones_of(avatar: Baked, global_orient: Tensor, body_pose: Tensor, hands: Tensor | None = None) -> Tensor:

@@ -185,9 +185,9 @@ class _Start:
             shape = torch.as_tensor(clip.hand_shape).float()
             vertices = vertices + bent_skin(rig, rest, shape) - rest
             if fitted.hands is not None:
-                skin = HandSkin.of(rig, rest, body.lbs_weights, shape)
-                joints, turns = finger_joints(rig, rest)[0], torch.as_tensor(fitted.hands).float()
-                hands = FittedHands(*(part.to(self.device) for part in (joints, shape, turns, *skin)))
+                joints, skin = finger_joints(rig, rest)[0], HandSkin.of(rig, rest, body.lbs_weights, shape)
+                skin = HandSkin(self._tensor(skin.points), self._tensor(skin.weights))
+                hands = FittedHands(self._tensor(joints), self._tensor(shape), self._tensor(fitted.hands), skin)
         return FittedBody(
             self._tensor(fitted.global_orient),
             self._tensor(fitted.body_pose),
