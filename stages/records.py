@@ -60,9 +60,8 @@ class SeenLandmarks:
 class BodyPoses:
     """SMPL parameters of F frames: X_world = SMPL(global_orient, body_pose, betas) + transl, in metres.
 
-    `names` are frame names; `betas` [10]; `global_orient` [F,3] and `body_pose` [F,69] rotation vectors in radians; `transl`
-    [F,3] m; `confidence` [F] from 0 (no evidence, do not train on it) to 1. The world has the axes of the SfM frame;
-    `world_from_sfm` is its metres per SfM unit. `hands` [F,2,15,3] rad as `gestures.HandPoses` has them, where fingers are read.
+    `betas` [10]; rotation vectors `global_orient` [F,3], `body_pose` [F,69], rad; `transl` [F,3] m; `confidence` [F], 0 (do not
+    train on it) to 1; if known `hands` [F,2,15,3] rad, `face` [F,52]. The world's axes are SfM's, its unit `world_from_sfm` m.
     """
 
     names: tuple[str, ...]
@@ -73,6 +72,7 @@ class BodyPoses:
     confidence: np.ndarray
     world_from_sfm: float = 1.0
     hands: np.ndarray | None = None
+    face: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.names)

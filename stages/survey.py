@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Effect = Literal["auto", "always", "never"]
 LOADS = contract.TORCH
-OF_PERSON = ("pose_refinement", "clothing", "shading")
+OF_PERSON = ("pose_refinement", "face", "clothing", "shading")
 """Effects that are looked for in each of several people alone."""
 
 # Limits at which a measure changes a decision or causes a warning.
@@ -51,6 +51,8 @@ class Params(contract.Params):
     """Clothes and hair with bones of their own. auto: when masks from all sides agree on something off the body."""
     pose_refinement: Effect = "auto"
     """Let training correct the body's poses. auto: when the posed body does not cover the mask."""
+    face: Effect = "auto"
+    """How the face moves in each frame. auto: when it is large enough in frames that look at it."""
     camera_refinement: Effect = "auto"
     """Let training correct the cameras. auto: when they contradict what is seen in several frames."""
     sky: Effect = "auto"

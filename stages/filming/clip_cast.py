@@ -44,10 +44,10 @@ def load_cast(sfm: Path, smpl: Path, train: Path, device: str) -> tuple[list[Cli
 
 
 def posed_as(clip: Clip, avatar: Avatar, device: str) -> PosedAvatar:
-    """An avatar in the poses of the clip's `person`, with their fingers, shown where their mask is."""
+    """An avatar in the poses of the clip's `person`, with their fingers and their face, shown where their mask is."""
     body, baked = clip.body, load_avatar(completed(avatar, clip.body_model), device)
     hands = body.hands if avatar.fingers is not None else None
-    posed = PosedAvatar.of(baked, body.global_orient, body.body_pose, body.transl, hands=hands)
+    posed = PosedAvatar.of(baked, body.global_orient, body.body_pose, body.transl, hands=hands, face=body.face)
     return replace(posed, known=body.confidence > 0, shows=clip.shows_person)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.avatar.motion import placing, retarget
+from stages.avatar.motion.gestures import faces_at
 from stages.avatar.motion.hands import FARTHEST, broken, from_smplx
 from stages.avatar.motion.placing import Placed, Soles
 from stages.avatar.motion.retarget import Performance
@@ -95,7 +96,11 @@ def from_clip(body: BodyPoses, times: np.ndarray, ground: Ground, manner: Manner
         return None
     check_time(times[rows[-1]] - times[rows[0]], manner.wanted, "the motion of the clip")
     performance = placing.filmed(body, rows, ground, soles)
-    return placing.on_floor(retarget.resample_at(performance, times[rows], manner.wanted), manner.wanted, soles)
+    placed = placing.on_floor(retarget.resample_at(performance, times[rows], manner.wanted), manner.wanted, soles)
+    if body.face is None:
+        return placed
+    shown = times[rows[0]] + np.arange(len(placed.transl)) / manner.wanted
+    return placed._replace(face=faces_at(shown, times[rows], body.face[rows]))
 
 
 def _of_fingers(bones: int, fingers: Fingers | None) -> list[str]:

@@ -144,6 +144,7 @@ def load_clip(sfm: Path, smpl: Path, train: Path | None = None, person: int = 1)
         transl=poses.transl[order],
         confidence=poses.confidence[order],
         world_from_sfm=poses.world_from_sfm,
+        face=None if poses.face is None else poses.face[order],
     )
     viewmats = cameras.viewmats.copy()
     viewmats[:, :3, 3] *= poses.world_from_sfm

@@ -10,6 +10,7 @@ import numpy as np
 from stages.contract import StageError
 from stages.formats.arrays import checked, read_npz, take, write_npz
 from stages.formats.body_model import SMPL
+from stages.gestures import FACE_NAMES
 from stages.records import BodyPoses
 
 HINT = "body.npz needs names [F], betas [10], global_orient [F,3], body_pose [F,69], transl [F,3], world_from_sfm"
@@ -35,6 +36,8 @@ def write_poses(path: Path, poses: BodyPoses) -> None:
         "confidence": poses.confidence,
         "world_from_sfm": poses.world_from_sfm,
     }
+    if poses.face is not None:
+        values["face"] = poses.face
     names: np.ndarray = np.array(poses.names, dtype=np.str_)
     arrays = {"names": names} | {key: np.asarray(value, np.float64) for key, value in values.items()}
     poses_from_arrays(arrays, path)
@@ -47,7 +50,7 @@ def read_poses(path: Path) -> BodyPoses:
 
 
 def poses_from_arrays(arrays: Mapping[str, np.ndarray], path: Path) -> BodyPoses:
-    """As `read_poses`, from arrays; `confidence` may be absent and is then 1."""
+    """As `read_poses`, from arrays; `confidence` may be absent and is then 1, `face` too: it is not known."""
     listed = np.asarray(take(arrays, "names", path, HINT))
     if listed.ndim != 1:
         raise StageError(
@@ -75,4 +78,5 @@ def poses_from_arrays(arrays: Mapping[str, np.ndarray], path: Path) -> BodyPoses
         transl=get("transl", count, 3),
         confidence=get("confidence", count) if "confidence" in arrays else np.ones(count),
         world_from_sfm=scale,
+        face=get("face", count, len(FACE_NAMES)) if "face" in arrays else None,
     )

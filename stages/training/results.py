@@ -144,13 +144,13 @@ def _filled(fit: Fit, scene: SceneModel, say: Finishing) -> Tensor:
 
 def _person(fit: Fit, who: PersonLearner, clip: Clip, say: Finishing) -> tuple[Avatar, BodyPoses, Counter[str]]:
     """The avatar of a person, their poses, and what finishing COUNTED."""
-    learned, fitted = fit.poses(who), (who.body.global_orient, who.body.body_pose, who.body.transl)
-    sound = finite_rows(learned)[:, None]
+    *learned, faces = fit.poses(who)
+    sound, fitted = finite_rows(learned)[:, None], who.body[:3]
     orient, body_pose, transl = (torch.where(sound, *pair) for pair in zip(learned, fitted, strict=True))
     if not sound.all():
         lost = [name for name, kept in zip(clip.names, sound[:, 0].tolist(), strict=True) if not kept]
         say.warn(f"the learned pose of frames {', '.join(lost)} is not finite: that of the smpl stage is kept")
-    body = who.body._replace(global_orient=orient, body_pose=body_pose, transl=transl)
+    body = who.body._replace(global_orient=orient, body_pose=body_pose, transl=transl, expressions=faces)
     if len(fit.people) > 1:
         say.note(f"{who.name}:")
     if body.clothing is not None and who.corrections.swing is not None:
@@ -161,6 +161,8 @@ def _person(fit: Fit, who: PersonLearner, clip: Clip, say: Finishing) -> tuple[A
         if words and counts[name]:
             say.note(f"{counts[name]:,} Gaussians {words}")
     poses = replace(clip.body, global_orient=_array(orient), body_pose=_array(body_pose), transl=_array(transl))
+    if faces is not None:
+        poses = replace(poses, face=_array(faces))
     avatar = _avatar(kept, who, body, clip.body.betas, fit.options.antialias)
     return _with_gestures(avatar, clip, say), poses, counts
 

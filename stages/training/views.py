@@ -11,7 +11,7 @@ from torch import Tensor
 
 from stages.avatar.body.smpl import vertex_normals
 from stages.avatar.cameras.pinhole import onto
-from stages.avatar.drawing.attach import HandSkin
+from stages.avatar.drawing.attach import FaceSkin, HandSkin
 from stages.avatar.drawing.avatar import Gloves, turned_fingers
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.shadow import Casters, casters
@@ -61,6 +61,19 @@ def halved(pictures: Tensor) -> Tensor:
     return torch.stack([one.permute(1, 2, 0) for one in small])
 
 
+class Poses(NamedTuple):
+    """global_orient [...,3] and body_pose [...,69] rad, transl [...,3] m; coefficients `face` [...,52], None: it stays still."""
+
+    global_orient: Tensor
+    body_pose: Tensor
+    transl: Tensor
+    face: Tensor | None = None
+
+    def at(self, frame: int) -> Poses:
+        """Those of one of F frames."""
+        return Poses(*(part[frame] for part in self if part is not None))
+
+
 class FittedHands(NamedTuple):
     """The fingers of all frames: `turns` [F,2,15,3] rad, on joints[30,3] m at rest; and the pose `shape` [2,15,3] in which hands
     learn, with their `skin` in it.
@@ -82,7 +95,8 @@ class FittedBody(NamedTuple):
     global_orient[F,3], body_pose[F,69], transl[F,3], confidence[F] from 0 (no fit worth learning from) to 1, joints[24,3]
     at rest, parents, canonical_pose[69], template vertices[V,3] at the canonical pose with weights[V,J], faces[T,3],
     J: the bones of skeleton and clothes. `clothing`: the bones of clothes, or None; `cloth`: their Gaussians at the canonical
-    pose. `antialias`: how to draw. `hands`: fingers, where the clip shows them.
+    pose. `antialias`: how to draw. `hands`: fingers, where the clip shows them. `face`: where it is learned in each frame, with
+    coefficients `expressions` [F,52] once they are known.
     """
 
     global_orient: Tensor
@@ -99,6 +113,13 @@ class FittedBody(NamedTuple):
     antialias: bool = False
     cloth: Surfels | None = None
     hands: FittedHands | None = None
+    face: FaceSkin | None = None
+    expressions: Tensor | None = None
+
+    @property
+    def poses(self) -> Poses:
+        """Those of all frames, as they were fitted."""
+        return Poses(self.global_orient, self.body_pose, self.transl, self.expressions)
 
     @property
     def own_bones(self) -> int:
@@ -131,10 +152,17 @@ class FittedBody(NamedTuple):
 
     def posed(self, resting: Resting, frame: int) -> Splats:
         """Someone at rest with this body and these clothes, as they stand in a frame."""
-        return self.placed(resting, self.bones(frame), self.transl[frame], frame)._replace(antialias=self.antialias)
+        face = None if self.expressions is None else self.expressions[frame]
+        there = self.placed(resting, self.bones(frame), self.transl[frame], frame, face)
+        return there._replace(antialias=self.antialias)
 
-    def placed(self, resting: Resting, bones: Tensor, transl: Tensor, frame: int) -> Splats:
-        """Someone at rest, moved by `bones` [J,4,4] and `transl` [3] m, with the fingers of a frame."""
+    def placed(
+        self, resting: Resting, bones: Tensor, transl: Tensor, frame: int, expression: Tensor | None = None
+    ) -> Splats:
+        """Someone at rest, moved by `bones` [J,4,4] and `transl` [3] m, with the fingers of a frame and the `expression` [52]."""
+        if self.face is not None and expression is not None:
+            moved = self.face.at(resting.means.detach(), resting.weights.detach())
+            resting = resting._replace(means=moved.moved(resting.means, expression))
         if (hands := self.hands) is not None:
             bones = torch.cat([bones, turned_fingers(hands.joints, hands.shape, hands.turns[frame], bones)])
         return pose(self.gloved(resting), bones, transl)

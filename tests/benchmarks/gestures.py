@@ -31,10 +31,13 @@ from stages.avatar.measures.lpips import Lpips
 from stages.avatar.measures.metrics import scores
 from stages.avatar.rasterize import Camera
 from stages.estimators.assets import fetch
+from stages.estimators.detectors.evidence import ClipEvidence
+from stages.estimators.detectors.face import detect
 from stages.estimators.hands.seeing import places
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras
 from stages.formats.clip import Clip, load_clip
+from stages.formats.facts import Sfm, read_facts
 from stages.formats.hands import hands_in, write_hands
 from stages.formats.images import read_image, write_image
 from stages.formats.poses import read_poses
@@ -166,7 +169,8 @@ def rate(work: Path, kind: str, seed: int, own: bool, steps: int, lpips: Lpips) 
     began = time.process_time()
     place = inputs(work, kind, seed, own)
     clip, staging = load_clip(place / "sfm", place / "smpl"), time.process_time() - began
-    fit, row = trained(place, steps, own, False, PARAMS)
+    large = detect(ClipEvidence(clip, read_facts(place / "sfm" / "sfm.json", Sfm))).called_for
+    fit, row = trained(place, steps, own, False, PARAMS, large)
     others = [int(i) for i in np.flatnonzero(~clip.training)]
     heldout = heldout_accuracy(fit.cast(), fit.seen(), others, lpips)
     result, avatar, _ = of_one(fit, clip)

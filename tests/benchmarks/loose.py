@@ -97,14 +97,14 @@ def staged(made: Path, place: Path, own: bool) -> None:
 
 
 def trained(
-    place: Path, steps: int, own: bool, clothing: bool | None, sizes: dict[str, int] = PARAMS
+    place: Path, steps: int, own: bool, clothing: bool | None, sizes: dict[str, int] = PARAMS, face: bool = False
 ) -> tuple[Fit, dict[str, Any]]:
     """The training of a clip, and what is to be said of it; `clothing` overrides the detector."""
     clip, facts = load_clip(place / "sfm", place / "smpl"), read_facts(place / "sfm" / "sfm.json", Sfm)
     finding = detect(ClipEvidence(clip, facts))
     on = finding.called_for if clothing is None else clothing
     params = train.Params(steps=steps, **sizes)
-    fit = build(Task([clip], params, {"pose_refinement": own, "clothing": on}), lambda text: None)
+    fit = build(Task([clip], params, {"pose_refinement": own, "clothing": on, "face": face}), lambda text: None)
     began = time.process_time()
     while fit.progress.step < steps:
         fit.advance()

@@ -11,6 +11,8 @@ import trimesh
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
+from stages.avatar.body.joints import HEAD
+from stages.avatar.drawing.attach import FaceSkin
 from stages.avatar.model.human import HumanModel
 from stages.avatar.model.person import Resting, bone_transforms, pose, rest
 from stages.avatar.model.scene import SceneModel
@@ -21,7 +23,7 @@ from stages.training.step.fit import Fit
 from stages.training.step.person import Starting
 from stages.training.step.schedule import Options
 from stages.training.step.transients import Transients
-from stages.training.views import FittedBody, Views
+from stages.training.views import FittedBody, Poses, Views
 from tests.made.clothes import dressed
 from tests.made.learned import compose
 from tests.made.skeleton import PARENTS
@@ -95,7 +97,7 @@ def fit_of(clip, steps: int = 40, scene: bool = True, **more) -> Fit:
 
 def posed(fit: Fit, resting: Resting, *pose: Tensor, frame: int | None = None) -> Splats:
     """The first person, at rest, in a pose [3], [69], [3]; clothes as they swing in a `frame`, or in that pose."""
-    who = fit.performer(fit.people[0], resting, lambda _: pose, swings=frame is not None)
+    who = fit.performer(fit.people[0], resting, lambda _: Poses(*pose), swings=frame is not None)
     return fit.effects.lit(who.splats(frame or 0))
 
 
@@ -137,12 +139,23 @@ def states(fit: Fit) -> dict[str, torch.Tensor]:
     return {f"{n}.{k}": v.clone() for n, m in fit.modules().items() for k, v in m.state_dict().items()}
 
 
+def with_face(person: FittedBody) -> FittedBody:
+    """The ellipsoid, whose upper part is a head: the first of 52 shapes slides it aside, the second lifts it, the third slides the
+    lower part.
+    """
+    shapes, up = torch.zeros(52, len(person.vertices), 3), torch.sigmoid(person.vertices[:, 1] / 0.05)
+    shapes[0, :, 0], shapes[1, :, 1], shapes[2, :, 0] = 0.12 * up, 0.12 * up, 0.12 * (1 - up)
+    weights = person.weights.clone()
+    weights[:, HEAD] = weights[:, 3] = 0.5 * person.weights[:, 3]
+    return person._replace(weights=weights, face=FaceSkin(person.vertices, shapes))
+
+
 def everything(clip, steps: int = 24) -> Fit:
-    """A training with a sky, antialiasing, clothes and transients."""
+    """A training with a sky, antialiasing, clothes, a face and transients."""
     views, person = clip
     blurred = avg_pool2d(views.images.permute(0, 3, 1, 2).float(), 7, 1, 3, count_include_pad=False)
     views = views._replace(images=blurred.permute(0, 2, 3, 1).round().byte())  # of noise others know nothing
-    person = dressed(person, TRAIN)
+    person = with_face(dressed(person, TRAIN))
     generator = torch.Generator().manual_seed(1)
     skin, sizes = on_vertices(person.vertices, person.faces, person.weights), {"channels": 8, "resolution": 24}
     human = HumanModel(skin, person.cloth, **sizes, generator=generator)
@@ -154,5 +167,5 @@ def everything(clip, steps: int = 24) -> Fit:
         torch.zeros(3),
         300.0,
     )
-    how = settings(steps, exposure=True, antialias=True)
+    how = settings(steps, exposure=True, antialias=True, learn_face=True)
     return Fit(views, TRAIN, [Starting(person, human)], scene, *how, generator, transients=Transients(views, TRAIN))

@@ -20,7 +20,7 @@ from tests.made.possible import impossible
 from tests.made.said import holds
 
 EFFECTS = {"view_dependence", "exposure", "lens", "rolling_shutter", "motion_blur", "shadow", "clothing"}
-EFFECTS |= {"pose_refinement", "camera_refinement", "sky", "transients", "antialias", "shading"}
+EFFECTS |= {"pose_refinement", "camera_refinement", "sky", "transients", "antialias", "shading", "face"}
 
 
 @pytest.mark.parametrize(

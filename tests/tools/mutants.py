@@ -267,8 +267,8 @@ MUTANTS = (
     Mutant(
         "D03 a learned place with the other sign",
         "stages/training/step/refine.py",
-        "person.body_pose + turn[:, 3:], person.transl + place",
-        "person.body_pose + turn[:, 3:], person.transl - place",
+        "poses.body_pose + turn[:, 3:], poses.transl + place",
+        "poses.body_pose + turn[:, 3:], poses.transl - place",
         "tests/stages/training/step/test_fit.py::what_is_learned_of_poses_is_written_with_its_sign",
     ),
     Mutant(

@@ -16,7 +16,7 @@ from stages.avatar.body.joints import HANDS, HEAD
 from stages.avatar.body.skinning import knn_weights
 from stages.avatar.body.smpl import Body
 from stages.avatar.drawing.avatar import load_avatar
-from stages.avatar.splats.neighbours import mean_near, nearest
+from stages.avatar.splats.neighbours import nearest, shares_of
 
 HELD = 0.02  # of a Gaussian's weights: less than that on a hand's joints is none of a finger's
 NEAR = 6  # points of the face whose mean move a Gaussian follows
@@ -41,7 +41,9 @@ def attach(
     fingers = gestures.Fingers(*(part.numpy() for part in (joints, tips, shape, rows.int(), shares)))
     if not len(rig.face_points):
         return replace(avatar, fingers=fingers)
-    face = _face(rig, face_at(rig, model.v_template, model.shapedirs, betas), resting.means, resting.weights)
+    rows, moves = FaceSkin.of(rig, model, betas).at(resting.means, resting.weights).moves()
+    kept = moves.norm(dim=2).amax(0) > STILL
+    face = gestures.Face(rows[kept].int().numpy(), moves[:, kept].half().numpy())
     return replace(avatar, fingers=fingers, face=face)
 
 
@@ -72,12 +74,43 @@ class HandSkin(NamedTuple):
         return rows[kept], shares[kept]
 
 
-def _face(rig: gestures.HandsFace, points: Tensor, means: Tensor, weights: Tensor) -> gestures.Face:
-    """Each Gaussian of the head moves as the points of the face around it, as far as the head's bone carries it."""
-    away = nearest(points, means, 1)[0][:, 0].to(points)
-    rows = ((away < FACE[1]) & (weights[:, HEAD] > 0)).nonzero()[:, 0]
-    part = ((FACE[1] - away[rows]) / (FACE[1] - FACE[0])).clamp(0, 1)
-    shapes = torch.as_tensor(rig.face_shapes).movedim(0, 1)
-    moves = part[:, None] * mean_near(shapes, points, means[rows], NEAR).movedim(1, 0)
-    kept = moves.norm(dim=2).amax(0) > STILL
-    return gestures.Face(rows[kept].int().numpy(), moves[:, kept].half().numpy())
+class FaceSkin(NamedTuple):
+    """The face of a body at rest: points [P,3] m, and how the shapes of FACE_NAMES move them at coefficient 1, [52,P,3] m."""
+
+    points: Tensor
+    shapes: Tensor
+
+    @classmethod
+    def of(cls, rig: gestures.HandsFace, model: Body, betas: Tensor) -> FaceSkin:
+        """Of a body of a `rig`, for `betas` [10]."""
+        return cls(face_at(rig, model.v_template, model.shapedirs, betas), torch.as_tensor(rig.face_shapes))
+
+    @torch.no_grad()
+    def at(self, means: Tensor, weights: Tensor) -> MovedByFace:
+        """What of Gaussians at rest at means[N,3] m, with weights[N,J], moves with the face: as the points around each, as far as
+        the head's bone carries it.
+        """
+        rows = (weights[:, HEAD] > 0).nonzero()[:, 0]
+        away, near = nearest(self.points, means[rows], NEAR)
+        close = away[:, 0] < FACE[1]
+        rows, away, near = rows[close], away[close].to(self.points), near[close]
+        part = ((FACE[1] - away[:, :1]) / (FACE[1] - FACE[0])).clamp(0, 1)
+        return MovedByFace(self, rows, near, part * shares_of(away))
+
+
+class MovedByFace(NamedTuple):
+    """Gaussians `rows` [M] that follow the points `near` [M,NEAR] of a face by `shares` [M,NEAR]."""
+
+    face: FaceSkin
+    rows: Tensor
+    near: Tensor
+    shares: Tensor
+
+    def moves(self) -> tuple[Tensor, Tensor]:
+        """The rows, and how each shape moves them at coefficient 1, [52,M,3] m."""
+        return self.rows, torch.einsum("mk,smkc->smc", self.shares, self.face.shapes[:, self.near])
+
+    def moved(self, means: Tensor, coefficients: Tensor) -> Tensor:
+        """All Gaussians' means [N,3] m with `coefficients` [52] of the face; differentiable in both."""
+        points = torch.einsum("s,spc->pc", coefficients, self.face.shapes)
+        return means.index_add(0, self.rows, (self.shares[..., None] * points[self.near]).sum(1))

@@ -16,7 +16,7 @@ def clip_move(body: records.BodyPoses, times: np.ndarray) -> gestures.Move:
     passed = float(np.ptp(times))
     fps = (len(times) - 1) / passed if passed > 0 else 1.0
     turns = np.concatenate([body.global_orient, body.body_pose], 1)
-    return gestures.Move("In the clip", fps, turns, body.transl, body.hands)
+    return gestures.Move("In the clip", fps, turns, body.transl, body.hands, body.face)
 
 
 def by_formula(name: str, soles: Soles, seconds: float, fps: float) -> Placed:

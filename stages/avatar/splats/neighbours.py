@@ -27,7 +27,12 @@ def shares_near(those: Tensor, points: Tensor, k: int) -> tuple[Tensor, Tensor]:
     nearer.
     """
     away, rows = nearest(those, points, k)
-    return rows, normalize(1 / (away.to(points) + AT), p=1, dim=1)
+    return rows, shares_of(away.to(points))
+
+
+def shares_of(away: Tensor) -> Tensor:
+    """Shares [N,k] of what is so many metres `away` [N,k]: they add up to 1, and are the larger, the nearer it is."""
+    return normalize(1 / (away + AT), p=1, dim=1)
 
 
 def mean_near(values: Tensor, those: Tensor, points: Tensor, k: int) -> Tensor:

@@ -14,7 +14,7 @@ from torch import Tensor
 from stages.avatar.body.fingers import bent_skin, finger_joints
 from stages.avatar.body.hull import CELL
 from stages.avatar.body.smpl import DA_POSE, Body
-from stages.avatar.drawing.attach import HandSkin
+from stages.avatar.drawing.attach import FaceSkin, HandSkin
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.effects.shading import Shading
 from stages.avatar.effects.shadow import DARKNESS
@@ -128,6 +128,7 @@ class _Start:
         options = Options(
             extent=extent,
             refine_pose=on.get("pose_refinement", True),
+            learn_face=on.get("face", False),
             refine_camera=on.get("camera_refinement", False),
             exposure=on.get("exposure", False),
             antialias=on.get("antialias", False),
@@ -178,9 +179,11 @@ class _Start:
         # clothes hang at rest: legs apart would pull a skirt apart
         pose = torch.zeros_like(DA_POSE) if self.decisions.get("clothing", False) else DA_POSE
         vertices, _ = body(betas, torch.zeros(1, 3), pose[None], torch.zeros(1, 3))
-        rig = None if clip.hand_shape is None else read_hands_face(model)
-        hands = None
-        if rig is not None:  # the canonical pose leaves arms as they are at rest
+        rig = read_hands_face(model)
+        hands = face = None
+        if rig is not None and self.decisions.get("face", False):
+            face = FaceSkin(*map(self._tensor, FaceSkin.of(rig, body, betas)))
+        if rig is not None and clip.hand_shape is not None:  # the canonical pose leaves arms as they are at rest
             rest, _ = body.rest(betas)
             shape = torch.as_tensor(clip.hand_shape).float()
             vertices = vertices + bent_skin(rig, rest, shape) - rest
@@ -200,6 +203,7 @@ class _Start:
             weights=body.lbs_weights.to(self.device),
             faces=torch.as_tensor(np.asarray(model.faces).astype(np.int64), device=self.device),
             hands=hands,
+            face=face,
         )
 
     def _clothed(self, person: FittedBody, views: Views, seen: Outline | None) -> FittedBody:

@@ -27,11 +27,11 @@ from stages.training.step.guard import Guard
 from stages.training.step.layers import DrawnFrame, DrawnPerson, alone, layers_of, occluders
 from stages.training.step.optimizers import FRAMES, optimizers
 from stages.training.step.patches import PatchLoss
-from stages.training.step.person import Learning, PersonLearner, Poses, Starting, at_frame
+from stages.training.step.person import Learning, PersonLearner, Starting
 from stages.training.step.refine import FrameCorrections
 from stages.training.step.schedule import Options, Progress, rate
 from stages.training.step.transients import Transients
-from stages.training.views import Views, frame_speeds
+from stages.training.views import Poses, Views, frame_speeds
 
 
 class Fit:
@@ -199,8 +199,8 @@ class Fit:
                 there = figure.mask[shot.window(name)]
                 terms.append(losses.OCCLUDERS * (drawn[name].alpha * there).mean())
         self.clock.lap("losses")
-        swings = [p.corrections.swing_prior(shot.frame, self.train) for p in self.people]
-        terms += [self.effects.prior(), *swings, *(p.pull for p in shot.people)]
+        priors = [p.corrections.prior(shot.frame, self.train) for p in self.people]
+        terms += [self.effects.prior(), *priors, *(p.pull for p in shot.people)]
         return torch.as_tensor(sum(terms)), numbers
 
     def _teach(self, shot: DrawnFrame) -> None:
@@ -224,6 +224,8 @@ class Fit:
         for name in self.adam:
             if name.startswith(FRAMES):
                 self._apply(name)
+        for learner in shot.people:
+            learner.corrections.clamp_face()
         self._learn_effects()
 
     def _apply(self, name: str) -> None:
@@ -251,7 +253,7 @@ class Fit:
 
     def _shadow_depth(self, frame: int, points: Tensor) -> Tensor:
         there = self.drawn_people(frame, self.full)
-        return self.effects.shadow_depth(points, [who.casters_in(*self.pose(who, frame)) for who in there])
+        return self.effects.shadow_depth(points, [who.casters_in(*self.pose(who, frame)[:3]) for who in there])
 
     # ---- what there is at a frame, with the corrections learned so far ----
 
@@ -269,15 +271,12 @@ class Fit:
         return Learning(who, resting, pose, self.options.antialias, self.effects.clothes is not None, swings)
 
     def pose(self, who: PersonLearner, frame: int) -> Poses:
-        """global_orient[3], body_pose[69] and transl[3] of a frame, corrected where poses are refined."""
-        fitted = at_frame(who.body[:3], frame)
-        return who.corrections.body(frame, *fitted) if self.options.refine_pose else fitted
+        """Those of a frame, corrected where poses are refined, with the face where that is learned."""
+        return who.corrections.pose_in(frame, who.body, self.options)
 
     def poses(self, who: PersonLearner) -> Poses:
-        """Those of all frames: [F,3], [F,69], [F,3]; untrained frames take their neighbours' correction."""
-        if not self.options.refine_pose:
-            return who.body.global_orient, who.body.body_pose, who.body.transl
-        return who.corrections.bodies(who.body, self.trained, self.full.moments)
+        """Those of all frames; untrained frames take their neighbours' correction and face."""
+        return who.corrections.poses(who.body, self.options, self.trained, self.full.moments)
 
     def _camera(self, frame: int) -> Tensor:
         viewmat = self.full.viewmats[frame]
@@ -298,7 +297,7 @@ class Fit:
     @torch.no_grad()
     def baked(self, who: PersonLearner) -> Learning:
         """Somebody as they are baked now, in the corrected poses of all frames; no gradients."""
-        return self.performer(who, who.body.gloved(who.baked()[1]), partial(at_frame, self.poses(who)))
+        return self.performer(who, who.body.gloved(who.baked()[1]), self.poses(who).at)
 
     def cast(self, people: Sequence[Learning] | None = None) -> Cast:
         """The `people`, None: all, `baked`, and the scene; no gradients."""

@@ -27,11 +27,9 @@ from stages.training.step import losses
 from stages.training.step.guard import Guard
 from stages.training.step.outlines import Outline
 from stages.training.step.refine import BodyCorrections
-from stages.training.views import FittedBody, Views
+from stages.training.views import FittedBody, Poses, Views
 
 NEIGHBOURS = 8  # a surface Gaussian is held at their mean height
-Poses = tuple[Tensor, Tensor, Tensor]
-"""global_orient [...,3] and body_pose [...,69] rad, transl [...,3] m."""
 MOVED = 0.005  # metres after which a Gaussian looks for its neighbours on the body again
 
 
@@ -57,7 +55,8 @@ class PersonLearner:
         self.body, self.human, self.guard, self.number = one.body, one.human, guard, number
         self.name = f"person {number}"
         self.outline, self.small = one.outline, one.outline and one.outline.half()
-        self.corrections = BodyCorrections(len(self.body.transl), self.body.own_bones).to(self.body.vertices)
+        corrections = BodyCorrections(len(self.body.transl), self.body.own_bones, self.body.face is not None)
+        self.corrections = corrections.to(self.body.vertices)
         self.canonical_bones = self.body.canonical_bones()
         self.surface, _, self.surface_weights = self.body.surface()
         self.leaves: dict[str, Tensor] | None = None
@@ -205,15 +204,9 @@ class PersonLearner:
             self._decoded()[name].grad = grad.clone()
 
 
-def at_frame(poses: Poses, frame: int) -> Poses:
-    """The pose [3], [69], [3] of one of F frames."""
-    orient, body_pose, transl = poses
-    return orient[frame], body_pose[frame], transl[frame]
-
-
 @dataclass(frozen=True)
 class Learning:
-    """A `Performer`: somebody who learns, as they are `resting`, in the poses [3], [69], [3] of frames.
+    """A `Performer`: somebody who learns, as they are `resting`, in the poses of frames.
 
     `swings`: clothes swing as corrected in the frame, else as the pose makes them; not `clothed`: they follow the skeleton.
     """
@@ -235,16 +228,16 @@ class Learning:
 
     def casters(self, frame: int) -> Casters:
         """What casts the person's shadow, in the world."""
-        return self.who.casters_in(*self.pose(frame))
+        return self.who.casters_in(*self.pose(frame)[:3])
 
     def means(self, frame: int) -> Tensor | None:
         """Means [N,3] m of the Gaussians; None where no fit shows how they stand."""
         return self._posed(frame, False).means if self.who.body.confidence[frame] > 0 else None
 
     def _posed(self, frame: int, swings: bool) -> Splats:
-        body, (orient, body_pose, transl) = self.who.body, self.pose(frame)
+        body, (orient, body_pose, transl, face) = self.who.body, self.pose(frame)
         bones = bone_transforms(body.joints, body.parents, orient, body_pose)
         if body.clothing is not None:
             swing = body.clothing.swing(body_pose) if self.clothed else None
             bones = body.clothing.hang(bones, self.who.corrections.swing_of(frame if swings else None, swing))
-        return body.placed(self.resting, bones, transl, frame)._replace(antialias=self.antialias)
+        return body.placed(self.resting, bones, transl, frame, face)._replace(antialias=self.antialias)

@@ -8,33 +8,48 @@ import torch
 from torch import Tensor, nn
 
 from stages.avatar.effects.camera_refinement import correct_cameras
-from stages.training.views import FittedBody
+from stages.gestures import FACE_NAMES
+from stages.training.step.schedule import Options
+from stages.training.views import FittedBody, Poses
 
 SWING, JERK = 0.01, 0.03  # weights of the priors on the swing of clothes
+MOVED, CHANGED = 5e-5, 1e-4  # likewise of faces: of a shape, and of the square of its change
 
 
 class BodyCorrections(nn.Module):
     """Corrections of a body in F frames, 0 at first: pose [F,72] rad (added to the axis-angles), place [F,3] m.
 
-    With `bones` of clothes, also of their swing [F,6 bones]. Rows have sparse gradients, so that a frame moves only when it
-    is seen.
+    With `bones` of clothes, also of their swing [F,6 bones]; with a `face` its coefficients [F,52], 0 to 1. Rows have sparse
+    gradients, so that a frame moves only when it is seen.
     """
 
-    def __init__(self, frames: int, bones: int = 0):
+    def __init__(self, frames: int, bones: int = 0, face: bool = False):
         super().__init__()
         self.pose = nn.Embedding(frames, 72, sparse=True)
         self.place = nn.Embedding(frames, 3, sparse=True)
         self.swing = nn.Embedding(frames, 6 * bones, sparse=True) if bones else None
+        self.face = nn.Embedding(frames, len(FACE_NAMES), sparse=True) if face else None
         for weight in self.parameters():
             nn.init.zeros_(weight)
 
-    def body(
-        self, frame: int, global_orient: Tensor, body_pose: Tensor, transl: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Corrected global_orient[3], body_pose[69] and transl[3] of one frame."""
-        row = torch.tensor(frame, device=transl.device)
-        pose = torch.cat([global_orient, body_pose]) + self.pose(row)
-        return pose[:3], pose[3:], transl + self.place(row)
+    def pose_in(self, frame: int, body: FittedBody, options: Options) -> Poses:
+        """The pose of a body in one frame, corrected as far as `options` say, with its face."""
+        pose, row = body.poses.at(frame), torch.tensor(frame, device=body.transl.device)
+        if options.refine_pose:
+            turns = torch.cat(pose[:2]) + self.pose(row)
+            pose = Poses(turns[:3], turns[3:], pose.transl + self.place(row))
+        return pose._replace(face=self.face(row)) if options.learn_face and self.face is not None else pose
+
+    @torch.no_grad()
+    def poses(self, body: FittedBody, options: Options, trained: Tensor, moments: Tensor | None) -> Poses:
+        """`pose_in` all F frames; frames not trained[F] take their neighbours' correction and face."""
+        poses = body.poses
+        if options.refine_pose:
+            turn, place = (spread(table.weight, trained, moments) for table in (self.pose, self.place))
+            poses = Poses(poses.global_orient + turn[:, :3], poses.body_pose + turn[:, 3:], poses.transl + place)
+        if options.learn_face and self.face is not None:
+            poses = poses._replace(face=spread(self.face.weight, trained, moments))
+        return poses
 
     def swing_of(self, frame: int | None, told: Tensor | None) -> Tensor | None:
         """Swing [K,6] of the clothes: the part `told` by the pose plus the correction of a `frame`; without a frame `told` alone.
@@ -45,24 +60,42 @@ class BodyCorrections(nn.Module):
             return told
         return told + self.swing(torch.tensor(frame, device=told.device)).view_as(told)
 
-    def swing_prior(self, frame: int, train: list[int]) -> Tensor | float:
+    def prior(self, frame: int, train: list[int]) -> Tensor | float:
+        """What swing and face of a frame cost, where they are learned from the frames `train`."""
+        return self._swing_prior(frame, train) + self._face_prior(frame, train)
+
+    def _swing_prior(self, frame: int, train: list[int]) -> Tensor | float:
         """SWING x mean square of a frame's swing, and JERK x that of its difference from the frames of `train` beside it.
 
         Clothes swing smoothly, and no more than the frames show. 0 without clothes.
         """
         if self.swing is None:
             return 0.0
-        at = bisect_left(train, frame)
-        beside = [*train[max(0, at - 1) : at], *train[at + 1 : at + 2]]
-        rows = self.swing(torch.tensor([frame], device=self.swing.weight.device))
-        gap = rows - self.swing.weight.detach()[beside].mean(0) if beside else rows
+        rows, gap = self._beside(self.swing, frame, train)
         return SWING * rows.square().mean() + JERK * gap.square().mean()
 
+    def _face_prior(self, frame: int, train: list[int]) -> Tensor | float:
+        """MOVED x the sum of a frame's coefficients, and CHANGED x that of the squares of their difference from the frames of
+        `train` beside it: a face moves by few shapes, and smoothly. 0 without a face.
+        """
+        if self.face is None:
+            return 0.0
+        row, gap = self._beside(self.face, frame, train)
+        return MOVED * row.sum() + CHANGED * gap.square().sum()
+
     @torch.no_grad()
-    def bodies(self, person: FittedBody, trained: Tensor, moments: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
-        """Corrected global_orient[F,3], body_pose[F,69], transl[F,3]; frames not trained[F] take their neighbours'."""
-        turn, place = (spread(table.weight, trained, moments) for table in (self.pose, self.place))
-        return person.global_orient + turn[:, :3], person.body_pose + turn[:, 3:], person.transl + place
+    def clamp_face(self) -> None:
+        """Keep coefficients within 0 and 1, as face capture has them."""
+        if self.face is not None:
+            self.face.weight.clamp_(0, 1)
+
+    @staticmethod
+    def _beside(table: nn.Embedding, frame: int, train: list[int]) -> tuple[Tensor, Tensor]:
+        """The row [1,D] of a frame, and its difference from the mean of the frames of `train` beside it, which has no gradient."""
+        at = bisect_left(train, frame)
+        beside = [*train[max(0, at - 1) : at], *train[at + 1 : at + 2]]
+        row = table(torch.tensor([frame], device=table.weight.device))
+        return row, row - table.weight.detach()[beside].mean(0) if beside else row
 
 
 class FrameCorrections(nn.Module):

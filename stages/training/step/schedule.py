@@ -28,6 +28,7 @@ LR_FRAMES = {
     "turn": 3e-4,
     "shift": 1e-3,
     "swing": 3e-2,
+    "face": 8e-2,
 }
 LR_EFFECTS = {
     "slope": 3e-2,
@@ -55,6 +56,7 @@ class Options(NamedTuple):
 
     extent: float
     refine_pose: bool = True
+    learn_face: bool = False
     refine_camera: bool = False
     exposure: bool = False
     antialias: bool = False

@@ -17,6 +17,7 @@ from stages.training.timing.accuracy import heldout_accuracy
 
 OPTIONS = {
     "pose_refinement": "refine_pose",
+    "face": "learn_face",
     "camera_refinement": "refine_camera",
     "exposure": "exposure",
     "antialias": "antialias",

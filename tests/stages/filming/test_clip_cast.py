@@ -11,6 +11,7 @@ import torch
 from torch.nn.functional import normalize
 
 from stages import evaluate, export, render
+from stages.avatar.body.face import face_vector
 from stages.avatar.body.smpl import Body, vertex_normals
 from stages.avatar.drawing.attach import attach
 from stages.avatar.drawing.avatar import load_avatar
@@ -91,6 +92,20 @@ def test_fingers_are_in_each_frame_as_the_clip_shows_them(clip):
     rest, closed = (posed_as(shown, gloved, "cpu").splats(i).means for i in (0, 1))
     still = [posed_as(shown, avatar, "cpu").splats(i).means for i in (0, 1)]
     assert (rest - still[0]).norm(dim=1).max() < 1e-5 and (closed - still[1]).norm(dim=1).max() > 0.05
+
+
+def test_the_face_is_in_each_frame_as_training_learned_it(clip):
+    (one, _), avatar = load_people(clip["sfm"], clip["smpl"]), read_avatar(clip["train"] / "avatar.npz")
+    faces = np.zeros((len(one.names), 52))
+    faces[1] = face_vector({"jawOpen": 1.0})
+    talks = replace(one, body=replace(one.body, face=faces))
+    moving = attach(avatar, one.body_model, read_hands_face(one.body_model))
+    off = [
+        (posed_as(talks, moving, "cpu").splats(i).means - posed_as(one, moving, "cpu").splats(i).means).norm(dim=1)
+        for i in (0, 1)
+    ]
+    assert off[0].max() == 0 and off[1].max() > 0.02
+    assert (posed_as(talks, avatar, "cpu").splats(1).means == posed_as(one, avatar, "cpu").splats(1).means).all()
 
 
 @pytest.mark.slow

@@ -53,6 +53,11 @@ def test_the_clips_own_motion_has_the_films_rate_and_both_ends(soles):
     bent = from_clip(replace(body, hands=hands), times, ground, Manner(30.0), soles)
     np.testing.assert_allclose(bent.hands[::3], hands[:EMPTY], atol=1e-9)
     assert placed.hands is None
+    face = np.random.default_rng(1).random((FRAMES, 52))
+    spoken = from_clip(replace(body, face=face), times, ground, Manner(30.0, 0.5), soles)
+    np.testing.assert_allclose(spoken.face[::6], face[:EMPTY], atol=1e-9)
+    np.testing.assert_allclose(spoken.face[3], face[:2].mean(0), atol=1e-9)
+    assert placed.face is None
 
 
 def test_a_jump_stays_a_jump_however_slowly_it_is_shown(soles, tmp_path):

@@ -74,6 +74,16 @@ def test_a25_a_picture_of_another_size_is_refused(tiny, tmp_path):
     assert holds(*refused.value.facts, "48x64", "96x128")
 
 
+def test_the_face_that_training_learned_is_in_the_order_of_the_cameras(tiny, tmp_path):
+    train = shutil.copytree(tiny["train"], tmp_path / "train")
+    poses, face = read_poses(train / "body.npz"), np.random.default_rng(0).random((len(tiny_clip.NAMES), 52))
+    turned = {name: getattr(poses, name)[::-1] for name in ("names", "global_orient", "body_pose", "transl")}
+    write_poses(train / "body.npz", replace(poses, **turned, confidence=poses.confidence[::-1], face=face[::-1]))
+    assert load_clip(tiny["sfm"], tiny["smpl"]).body.face is None
+    clip = load_clip(tiny["sfm"], tiny["smpl"], train)
+    assert np.array_equal(clip.body.face, face) and np.array_equal(clip.body.transl, poses.transl)
+
+
 def test_hands_that_were_read_are_the_clips_and_their_shape_the_avatars(tiny, tmp_path):
     assert load_clip(tiny["sfm"], tiny["smpl"]).hand_shape is None
     smpl, names = shutil.copytree(tiny["smpl"], tmp_path / "smpl"), tiny_clip.NAMES

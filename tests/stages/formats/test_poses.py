@@ -1,5 +1,7 @@
 """body.npz comes back as written, and wrong poses are refused by key."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -31,11 +33,23 @@ def test_what_is_written_comes_back(tmp_path):
         assert np.array_equal(getattr(again, name), getattr(poses, name))
 
 
+def test_a_face_comes_back_and_one_of_too_few_shapes_is_refused(tmp_path):
+    poses, face = some_poses(), np.random.default_rng(1).random((3, 52))
+    write_poses(tmp_path / "body.npz", replace(poses, face=face))
+    assert np.array_equal(read_poses(tmp_path / "body.npz").face, face)
+    with pytest.raises(StageError, match=r"(?s)face.*3x51.*3x52"):
+        write_poses(tmp_path / "wrong.npz", replace(poses, face=face[:, 1:]))
+    write_poses(tmp_path / "body.npz", poses)
+    assert read_poses(tmp_path / "body.npz").face is None
+
+
 @pytest.mark.parametrize("dtype", [">f8", "<f4", "f2"])
 def test_k07_any_float_is_read(tmp_path, dtype):
     poses = some_poses()
     arrays = {
-        k: np.asarray(v).astype(dtype) for k, v in vars(poses).items() if k not in ("names", "confidence", "hands")
+        k: np.asarray(v).astype(dtype)
+        for k, v in vars(poses).items()
+        if k not in ("names", "confidence", "hands", "face")
     }
     np.savez(tmp_path / "body.npz", names=np.array(poses.names), **arrays)
     again = read_poses(tmp_path / "body.npz")
@@ -56,7 +70,7 @@ def test_k07_any_float_is_read(tmp_path, dtype):
     ],
 )
 def test_k01_k02_refuses_by_key(tmp_path, change, words):
-    arrays = {k: np.asarray(v) for k, v in vars(some_poses()).items() if k != "hands"} | change
+    arrays = {k: np.asarray(v) for k, v in vars(some_poses()).items() if k not in ("hands", "face")} | change
     np.savez(tmp_path / "body.npz", **arrays)
     with pytest.raises(StageError) as caught:
         read_poses(tmp_path / "body.npz")

@@ -7,8 +7,8 @@ import torch
 from stages.avatar.body.face import face_vector
 from stages.avatar.body.fingers import finger_bones, finger_joints
 from stages.avatar.body.smpl import Body
-from stages.avatar.drawing.attach import attach
-from stages.avatar.drawing.avatar import PosedAvatar, bones_of, gloved, load_avatar, posed_by
+from stages.avatar.drawing.attach import FaceSkin, attach
+from stages.avatar.drawing.avatar import PosedAvatar, bones_of, gloved, load_avatar, mimed, posed_by
 from stages.formats.body_model import read_body_model
 from stages.formats.hands_face import read_hands_face
 from stages.formats.splats import read_avatar, write_splats
@@ -99,6 +99,20 @@ def test_a_jaw_opens_and_the_neck_stays(record):
     )
     assert way[:, 1].min() < -0.025 and way[BODY.lbs_weights[::3, 15] < 0.01].abs().max() == 0
     assert 50 < (way.norm(dim=1) > 1e-3).sum() < 0.2 * len(record)
+
+
+def test_training_moves_a_face_as_the_avatar_does(record):
+    """Value, and gradient in the coefficients: it is linear in these."""
+    rig, resting = read_hands_face(BODY), load_avatar(record).resting
+    moved = FaceSkin.of(rig, Body(BODY), torch.zeros(10)).at(resting.means, resting.weights)
+    face = torch.rand(52, generator=torch.Generator().manual_seed(1)).requires_grad_()
+    ours, theirs = moved.moved(resting.means, face), mimed(load_avatar(record), face).means
+    assert (ours - theirs).abs().max() < 6e-4, "what the avatar's file leaves out"
+    assert (ours - resting.means).norm(dim=1).max() > 0.01
+    along = torch.randn(ours.shape, generator=torch.Generator().manual_seed(2))
+    rows, moves = moved.moves()
+    (slope,) = torch.autograd.grad((ours * along).sum(), face)
+    torch.testing.assert_close(slope, (moves * along[rows]).sum((1, 2)), atol=1e-5, rtol=1e-4)
 
 
 def test_hands_and_face_keep_in_the_file(record, tmp_path):

@@ -48,3 +48,4 @@ def test_the_clip_goes_at_its_mean_rate(times, fps):
     np.testing.assert_array_equal(move.rotvecs, np.concatenate([body.global_orient, body.body_pose], 1))
     np.testing.assert_array_equal(move.steps, body.transl)
     assert move.hands is None and clip_move(replace(body, hands=body.transl), np.array(times)).hands is body.transl
+    assert move.face is None and clip_move(replace(body, face=body.transl), np.array(times)).face is body.transl

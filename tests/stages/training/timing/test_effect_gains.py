@@ -45,6 +45,7 @@ def changing(clip):
             fit.scene.shN.fill_(0.05),
             fit.frames.gain.weight[1].fill_(0.3),
             fit.people[0].corrections.place.weight.fill_(0.02),
+            fit.people[0].corrections.face.weight[:, :3].fill_(0.3),
         )
         fit.frames.shift.weight[:3] = 0.02
     return fit, heldout_accuracy(fit.cast(), fit.seen(), HELD_OUT)
@@ -66,7 +67,15 @@ def test_it_leaves_no_trace(clip):
     spent = dict(fit.clock.seconds)
     found = effect_gains(fit, HELD_OUT, HELD_OUT[:1])
     assert list(found) == effects_of(fit)
-    assert set(found) == {"pose_refinement", "exposure", "antialias", "clothing", "transients", "view_dependence"}
+    assert set(found) == {
+        "pose_refinement",
+        "exposure",
+        "antialias",
+        "face",
+        "clothing",
+        "transients",
+        "view_dependence",
+    }
     assert same(fit, other) and fit.progress.total == other.progress.total and fit.clock.seconds == spent
     assert fit.densifier.settled is None or torch.equal(fit.densifier.settled, other.densifier.settled)
     run(fit, 16), run(other, 16)
