@@ -11,7 +11,7 @@ from torch import Tensor
 
 from stages.avatar.body.smpl import vertex_normals
 from stages.avatar.cameras.pinhole import onto
-from stages.avatar.drawing.attach import FaceSkin, HandSkin
+from stages.avatar.drawing.attach import FaceSkin, HandSkin, MovedByFace
 from stages.avatar.drawing.avatar import Gloves, turned_fingers
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.shadow import Casters, casters
@@ -152,17 +152,16 @@ class FittedBody(NamedTuple):
 
     def posed(self, resting: Resting, frame: int) -> Splats:
         """Someone at rest with this body and these clothes, as they stand in a frame."""
-        face = None if self.expressions is None else self.expressions[frame]
-        there = self.placed(resting, self.bones(frame), self.transl[frame], frame, face)
-        return there._replace(antialias=self.antialias)
+        if (moved := self.moved_by_face(resting)) is not None and self.expressions is not None:
+            resting = resting._replace(means=moved.moved(resting.means, self.expressions[frame]))
+        return self.placed(resting, self.bones(frame), self.transl[frame], frame)._replace(antialias=self.antialias)
 
-    def placed(
-        self, resting: Resting, bones: Tensor, transl: Tensor, frame: int, expression: Tensor | None = None
-    ) -> Splats:
-        """Someone at rest, moved by `bones` [J,4,4] and `transl` [3] m, with the fingers of a frame and the `expression` [52]."""
-        if self.face is not None and expression is not None:
-            moved = self.face.at(resting.means.detach(), resting.weights.detach())
-            resting = resting._replace(means=moved.moved(resting.means, expression))
+    def moved_by_face(self, resting: Resting) -> MovedByFace | None:
+        """What of someone at rest moves with the face; None where none is learned."""
+        return None if self.face is None else self.face.at(resting.means.detach(), resting.weights.detach())
+
+    def placed(self, resting: Resting, bones: Tensor, transl: Tensor, frame: int) -> Splats:
+        """Someone at rest, moved by `bones` [J,4,4] and `transl` [3] m, with the fingers of a frame."""
         if (hands := self.hands) is not None:
             bones = torch.cat([bones, turned_fingers(hands.joints, hands.shape, hands.turns[frame], bones)])
         return pose(self.gloved(resting), bones, transl)

@@ -90,7 +90,9 @@ class FaceSkin(NamedTuple):
         """What of Gaussians at rest at means[N,3] m, with weights[N,J], moves with the face: as the points around each, as far as
         the head's bone carries it.
         """
-        rows = (weights[:, HEAD] > 0).nonzero()[:, 0]
+        first, last = self.points.aminmax(dim=0)
+        around = ((means > first - FACE[1]) & (means < last + FACE[1])).all(1)
+        rows = (around & (weights[:, HEAD] > 0)).nonzero()[:, 0]
         away, near = nearest(self.points, means[rows], NEAR)
         close = away[:, 0] < FACE[1]
         rows, away, near = rows[close], away[close].to(self.points), near[close]

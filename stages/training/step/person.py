@@ -15,6 +15,7 @@ from torch import Tensor
 from torch.optim import Optimizer
 
 from stages.avatar.body.skinning import knn_weights
+from stages.avatar.drawing.attach import MovedByFace
 from stages.avatar.effects.shadow import Casters
 from stages.avatar.kernels.products import products, turned
 from stages.avatar.model.decoders import OWN
@@ -121,6 +122,7 @@ class PersonLearner:
             self.normals = turned(rotations.detach(), self.human.normals)
             hands = self.body.hands
             self.gloves = None if hands is None else hands.gloves(means.detach(), shared.weights.detach())
+            self.moved = None if self.body.face is None else self.body.face.at(means.detach(), shared.weights.detach())
             self.shared, self.decoded = shared, shared._asdict() | {"means": means, "rotations": rotations}
             # those of OWN also without networks, for `color_grad_sum`
             taught = {name: t.requires_grad or name in OWN for name, t in self.decoded.items()}
@@ -209,6 +211,7 @@ class Learning:
     """A `Performer`: somebody who learns, as they are `resting`, in the poses of frames.
 
     `swings`: clothes swing as corrected in the frame, else as the pose makes them; not `clothed`: they follow the skeleton.
+    `moved`: what moves with the face, None where that stays still.
     """
 
     who: PersonLearner
@@ -217,6 +220,7 @@ class Learning:
     antialias: bool
     clothed: bool
     swings: bool = False
+    moved: MovedByFace | None = None
 
     def shown(self, frame: int) -> bool:
         """Whether the frame shows the person."""
@@ -235,9 +239,11 @@ class Learning:
         return self._posed(frame, False).means if self.who.body.confidence[frame] > 0 else None
 
     def _posed(self, frame: int, swings: bool) -> Splats:
-        body, (orient, body_pose, transl, face) = self.who.body, self.pose(frame)
+        body, (orient, body_pose, transl, face), resting = self.who.body, self.pose(frame), self.resting
+        if self.moved is not None and face is not None:
+            resting = resting._replace(means=self.moved.moved(resting.means, face))
         bones = bone_transforms(body.joints, body.parents, orient, body_pose)
         if body.clothing is not None:
             swing = body.clothing.swing(body_pose) if self.clothed else None
             bones = body.clothing.hang(bones, self.who.corrections.swing_of(frame if swings else None, swing))
-        return body.placed(self.resting, bones, transl, frame, face)._replace(antialias=self.antialias)
+        return body.placed(resting, bones, transl, frame)._replace(antialias=self.antialias)
