@@ -146,6 +146,13 @@ def test_what_a_stage_shows_of_the_clip_changes_its_own_guess_and_those_to_come(
     assert asked == [["masks", "sfm", "train", "render"], ["sfm", "train", "render"]]
 
 
+def test_compiling_is_no_part_of_how_long_the_running_stage_takes():
+    countdown, progress = after(1.0, one=Guess(1.0, 1.0), train=Guess(54.0, 1.0, 34.0), render=Guess(30.0, 1.0))
+    for step in range(1, 17):
+        progress.take({"done": step, "total": 20, "left": 20.0 - step}, 100.0 + step)
+    assert countdown.left("train", progress, 116.0) == pytest.approx(4 + 30, rel=0.1)
+
+
 def test_a_short_stage_and_compiling_show_nothing_of_how_fast_the_machine_is():
     countdown, progress = after(10.0, frames=Guess(2.0, 1.0), train=Guess(98.0, 1.0))
     assert countdown.left("train", progress, 0.0) == pytest.approx(98)
