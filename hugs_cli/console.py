@@ -13,7 +13,7 @@ from hugs_cli import times
 from hugs_cli.cache.freshness import CodeChanged, InputChanged, ParamChanged, Reason, SeedChanged, Upstream, Verdict
 from hugs_cli.cache.launcher import Outcome
 from hugs_cli.cache.workspace import Stamp
-from hugs_cli.countdown import Countdown, Progress
+from hugs_cli.countdown import Again, Countdown, Progress
 from hugs_cli.direct import StageFailed
 from hugs_cli.words import ago, count, duration, number, plain
 from stages.contract import StageError
@@ -100,10 +100,10 @@ class Console:
         """What a run is of, and where it computes."""
         self.say(f"{clip}  {facts}".rstrip() + f"   pipeline {pipeline}   {folder}   {device}: {why}")
 
-    def expect(self, stages: Iterable[tuple[str, times.Guess]]) -> None:
-        """Say how long stages to run will take, given in order, and count them down from now on."""
+    def expect(self, stages: Iterable[tuple[str, times.Guess]], again: Again) -> None:
+        """Say how long stages to run will take, given in order, and count them down from now on, see `Countdown`."""
         known = list(stages)
-        self.countdown = Countdown(known)
+        self.countdown = Countdown(known, again)
         if known:
             self.say(f"this run takes {times.said(times.total(guess for _, guess in known))}")
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import accumulate
 from typing import Any
 
 from hugs_cli.times import Guess
@@ -13,7 +14,7 @@ FINE = 1 / 200  # of the time so far: marks lie no closer
 SOON = 2.0  # s, before which no speed is read
 LATE, LEAST = 0.15, 1.0  # of the time since something was heard, and s: what ought to be over takes that long at least
 SURE = 0.3  # of the guessed whole: steps counted for less time weigh less, since steps differ in length
-GUESSED = 0.05  # of the guessed whole: when stages of so much have ended, their times and the guess weigh the same
+GUESSED = 0.1  # of the guessed whole: that stages take as long as guessed weighs as much as a stage of so much
 
 
 @dataclass
@@ -81,12 +82,19 @@ def remaining(left: float, since: float) -> float:
     return max(left - since, LEAST + LATE * since)
 
 
-class Countdown:
-    """Counts down what is to run: stages in order, each with its guess, and corrects these by how long the first ones take."""
+Again = Callable[[list[str]], Mapping[str, Guess]]
+"""Given the stage that has ended and those still to do: other guesses, where more is known of the clip now."""
 
-    def __init__(self, stages: Iterable[tuple[str, Guess]]):
-        self.stages = list(stages)
-        self.took = self.guessed = 0.0  # s of stages that have ended, without compiling
+
+class Countdown:
+    """Counts down what is to run: stages in order, each with its guess, and corrects these by how long the first ones take, and by
+    what is guessed `again` when one has ended.
+    """
+
+    def __init__(self, stages: Iterable[tuple[str, Guess]], again: Again = lambda todo: {}):
+        self.stages, self.again = list(stages), again
+        self.over: list[tuple[float, float]] = []
+        """Of each stage that has ended: how many times as long as guessed it took, and the guess in s, both without compiling."""
 
     def started(self, stage: str) -> None:
         """A stage begins: those expected before it are not run after all."""
@@ -95,8 +103,10 @@ class Countdown:
     def ended(self, stage: str, seconds: float, compiling: float) -> None:
         """A stage that had begun has ended, after `seconds`, in some of which it was `compiling`."""
         if self.stages and self.stages[0][0] == stage:
-            self.took += seconds - compiling
-            self.guessed += self.stages.pop(0)[1].running
+            known = self.again([name for name, _ in self.stages])
+            self.stages = [(name, known.get(name, guess)) for name, guess in self.stages]
+            guessed = self.stages.pop(0)[1].running
+            self.over.append(((seconds - compiling) / guessed, guessed))
 
     def left(self, stage: str, progress: Progress, now: float) -> float | None:
         """Seconds until the last stage ends, while `stage` runs; None where nothing was expected."""
@@ -120,7 +130,7 @@ class Countdown:
     @property
     def _whole(self) -> float:
         """Guessed seconds of all stages, without compiling."""
-        return self.guessed + sum(one.running for _, one in self.stages)
+        return sum(guessed for _, guessed in self.over) + sum(one.running for _, one in self.stages)
 
     def _sure(self, progress: Progress) -> float:
         """How much the running stage's own numbers show, 0 to 1: less after a short time."""
@@ -128,9 +138,18 @@ class Countdown:
         return min(1.0, (seen[-1][0] - seen[0][0]) / (SURE * self._whole)) if seen else 0.0
 
     def _slow(self, guess: Guess, sure: float, progress: Progress, now: float) -> float:
-        """How many times as long as guessed stages take: those that have ended, and the running one, by its own number."""
-        took, guessed, own, mark = self.took, self.guessed, progress.left(now), progress.marks.since()
-        if own is not None and mark and (ahead := 1 - mark[1] / max(progress.event["total"], 1)) > 0:
-            took += sure * progress.done * (now - mark[0] + own) / ahead
-            guessed += sure * progress.done * guess.running
-        return (took / guessed) ** (guessed / (guessed + GUESSED * self._whole)) if took > 0 and guessed > 0 else 1.0
+        """How many times as long as guessed stages take: the median of those that have ended, of the running one, by its own
+        number, and of 1. So one stage that is slow for reasons of its own does not slow the others.
+        """
+        own, seen = progress.left(now), [(1.0, GUESSED * self._whole), *self.over]
+        if own is not None:
+            began = progress.stepped if guess.compiling and progress.stepped is not None else progress.started
+            seen.append(((now - began + own) / guess.running, sure * progress.done * guess.running))
+        return weighted_median(seen)
+
+
+def weighted_median(values: Iterable[tuple[float, float]]) -> float:
+    """The value, of values and their weights, which has half of the weight with smaller ones."""
+    ordered = sorted(values)
+    below = list(accumulate(weight for _, weight in ordered))
+    return next(value for (value, _), so_far in zip(ordered, below, strict=True) if so_far >= below[-1] / 2)

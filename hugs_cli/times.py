@@ -6,7 +6,7 @@ import json
 import os
 import platform
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -27,6 +27,7 @@ from stages.contract import load_stage
 
 STAGE_START = 2.5
 """Seconds from the end of a stage to the start of the next, libraries loaded, and of a stage of which nothing is known."""
+LOADING = 1.0  # s of a stage that do not depend on sizes
 FINISHING, SETTLING = 100, 200  # steps that take as long as what follows the last one, and settling in it, at most
 KEPT, ASKED = 400, 5  # rows in the file, and the last ones of a stage that a guess is made from
 SHORT = 2.0  # s; shorter stages tell nothing
@@ -43,6 +44,10 @@ class Sizes(NamedTuple):
     frames: PositiveFloat = 80
     pixels: PositiveFloat = 480 * 864
     steps: NonNegativeFloat = 1400
+    moves: bool = True
+    """Whether the camera does."""
+    scene: bool = True
+    """Whether there is a scene, or the person alone."""
 
 
 class Row(NamedTuple):
@@ -79,6 +84,10 @@ USUAL: dict[str, tuple[Sizes, dict[str, float]]] = {
 """Pipeline -> sizes, and seconds of its stages; others are as `default`. The phone clip, 2 idle cores of Zen 4, November 2026."""
 TOGETHER, USUALLY = {"train": 0.9, "masks": 0.7, "evaluate": 0.7, "smpl": 0.1, "survey": 0.2}, 0.4
 """Share of its time in which a stage uses all processors: `preview` beside two busy processes, 2 cores of Zen 4, November 2026."""
+ALONE, STANDING = {"train": 0.34, "render": 0.5, "evaluate": 0.4}, 0.04
+"""Stage -> time where the person is alone, of that with a scene; time of `sfm` where the camera stands, of that where it moves.
+Three clips of the table, 2 idle cores of Zen 4, November 2026."""
+MOVES, STANDS = "moving", "static camera"  # what sfm.json says of a camera; one that only turns shows no scene either
 COMPILING = 34.0  # s in which a training compiles kernels; `preview`, then again, 2 idle cores of Zen 4, November 2026
 
 
@@ -86,14 +95,24 @@ def work(stage: str, sizes: Sizes) -> float:
     """How many times as long a stage takes as with the sizes of `default`."""
     usual = Sizes()
     frames, drawn = sizes.frames / usual.frames, (sizes.pixels / usual.pixels) ** 0.5
+    shown = drawn if sizes.scene else ALONE.get(stage, 1.0) * drawn**0.5
     match stage:
         case "train":
-            return drawn * _steps(sizes.steps) / _steps(usual.steps)
+            return shown * _steps(sizes.steps) / _steps(usual.steps)
         case "render" | "evaluate":
-            return drawn * frames
+            return shown * frames
+        case "sfm" if not sizes.moves:
+            return STANDING * frames
         case "export":
             return 1.0
     return frames
+
+
+def alike(stage: str, one: Sizes, other: Sizes) -> bool:
+    """Whether a stage does the same work with both sizes, more or less of it."""
+    if stage == "sfm":
+        return one.moves == other.moves
+    return one.scene == other.scene or stage not in ALONE
 
 
 def _steps(steps: float) -> float:
@@ -104,21 +123,35 @@ def _steps(steps: float) -> float:
 def usual(pipeline: str, stage: str, sizes: Sizes) -> float:
     """Seconds of a stage on the machine of USUAL."""
     known, seconds = USUAL.get(pipeline.partition(".")[0], USUAL["default"])
-    return seconds.get(stage, STAGE_START) * work(stage, sizes) / work(stage, known)
+    more = seconds.get(stage, STAGE_START) - LOADING
+    return LOADING + more * work(stage, sizes) / work(stage, known)
 
 
-def sizes_of(session: Session, picked: bool) -> Sizes:
-    """The sizes of a clip; until its frames are `picked` those that are asked for, as far as the film has them."""
-    stages = session.pipeline.stages
+def sizes_of(session: Session, todo: Collection[str]) -> Sizes:
+    """The sizes of a clip. While frames are `todo` those that are asked for, as far as the film has them; while cameras are, they
+    move as the film shows at a glance.
+    """
+    stages, links = session.pipeline.stages, session.workspace.links
     steps = stages["train"].params.model_dump().get("steps", 0) if "train" in stages else 0
     sizes, picks = Sizes(steps=steps), stages.get("frames")
     if picks is not None and (expected := load_stage(picks.module).sizes) is not None:
         sizes = Sizes(*expected(picks.params, session.video), steps)
-    if picked:
-        facts = read_json(session.workspace.links / "frames" / "frames.json")
+    if "frames" not in todo:
+        facts = read_json(links / "frames" / "frames.json")
         with suppress(KeyError, TypeError):
             sizes = Sizes(len(facts["frames"]) or sizes.frames, facts["width"] * facts["height"] or sizes.pixels, steps)
-    return sizes
+    asked = stages["survey"].params.model_dump().get("scene") if "survey" in stages else None
+    if "sfm" in todo:
+        motion = STANDS if picks is not None and not seems_to_move(picks.module, session.video) else MOVES
+    else:
+        motion = read_json(links / "sfm" / "sfm.json").get("verdict", MOVES)
+    return sizes._replace(moves=motion != STANDS, scene=motion == MOVES and asked != "never")
+
+
+@cache
+def seems_to_move(module: str, video: Path) -> bool:
+    """Whether the camera does, by what the stage knows that picks frames; looked at once."""
+    return (moves := load_stage(module).moves) is None or moves(video)
 
 
 @cache
@@ -163,7 +196,7 @@ def learn(session: Session, stage: Stage, seconds: float, device: str, compiling
     """
     if seconds - compiling < SHORT or stage.params.model_dump().get("seconds"):
         return
-    alone, sizes = (seconds - compiling) / slowed(stage.name), sizes_of(session, True)
+    alone, sizes = (seconds - compiling) / slowed(stage.name), sizes_of(session, ())
     row = Row(stage.name, stage.module, session.pipeline.name, device, processors(), sizes, alone)
     with suppress(OSError):  # a full disk: the next guess is a little worse
         folder().mkdir(parents=True, exist_ok=True)
@@ -198,14 +231,19 @@ class Times:
     def alone(self, session: Session, stage: Stage, sizes: Sizes) -> Guess:
         """Of one stage, if nothing else ran and its kernels are compiled."""
         name, same = session.pipeline.name, self.by_module.get(stage.module, [])
-        same = ([row for row in same if row.pipeline == name] or same)[-ASKED:]
+        same = [row for row in same if row.pipeline == name] or same
+        same = ([row for row in same if alike(stage.name, row.sizes, sizes)] or same)[-ASKED:]
         slow = median(map(_slow, same)) if same else self.pace
         return Guess(slow * usual(name, stage.name, sizes), OFF.get(len(same), FEW))
 
-    def forecast(self, session: Session, todo: Iterable[str], first: bool = True) -> dict[str, Guess]:
-        """Of stages to do, in their order, as busy as the machine is now. `first`: no other run compiles their kernels before."""
+    def forecast(
+        self, session: Session, todo: Iterable[str], first: bool = True, over: Collection[str] = ()
+    ) -> dict[str, Guess]:
+        """Of stages to do, in their order, as busy as the machine is now. `first`: no other run compiles their kernels before;
+        `over`: those whose results are there by now, and show the clip's sizes.
+        """
         todo = list(todo)
-        sizes, stages = sizes_of(session, "frames" not in todo), session.pipeline.stages
+        sizes, stages = sizes_of(session, {*todo} - {*over}), session.pipeline.stages
         found = {name: self.alone(session, stages[name], sizes) for name in todo}
         if first:
             more = {name: self.compiling(stages[name]) for name in todo}
@@ -216,6 +254,12 @@ class Times:
         return {
             name: Guess(slow[name] * one.seconds, one.off, slow[name] * one.compiling) for name, one in found.items()
         }
+
+    def again(self, session: Session, todo: Sequence[str]) -> dict[str, Guess]:
+        """The same when the first of them has ended, if that showed other sizes than were expected; else nothing."""
+        if sizes_of(session, todo[1:]) == sizes_of(session, todo):
+            return {}
+        return self.forecast(session, todo, over=todo[:1])
 
 
 def _slow(row: Row) -> float:
@@ -229,14 +273,14 @@ def here(device: str) -> Times:
 
 
 def expected(
-    session: Session, stages: Iterable[Stage], done: Mapping[str, Verdict], forced: frozenset[str], device: str
+    session: Session, stages: Iterable[Stage], done: Mapping[str, Verdict], forced: frozenset[str], known: Times
 ) -> list[tuple[str, Guess]]:
     """What a run of `stages` would make, in order, as busy as the machine is now; results of other stages are `done`."""
     found = dict(done)
     for stage in stages:
         found[stage.name] = session.verdict(stage, found, stage.name in forced)
     todo = [stage.name for stage in stages if not found[stage.name].fresh]
-    return list(here(device).forecast(session, todo).items())
+    return list(known.forecast(session, todo).items())
 
 
 def total(guesses: Iterable[Guess]) -> Guess:

@@ -100,7 +100,7 @@ class Promise:
         time that training gets now. The whole time is counted down from now on."""
         found, known = self.session.verdicts(self._before(), forced), times.here(device)
         missing = [name for name, verdict in found.items() if not verdict.fresh]
-        sizes = times.sizes_of(self.session, "frames" not in missing)._replace(steps=LEAST)
+        sizes = times.sizes_of(self.session, missing)._replace(steps=LEAST)
         stage = self.session.pipeline.stages["train"]
         train = known.alone(self.session, stage, sizes).seconds + known.compiling(stage)
         least = 0.0 if begun else train + STAGE_START * (1 + len(self._after()))

@@ -204,6 +204,8 @@ class StageModule:
     """compiled(): whether the kernels that it runs on a CPU are there, and need not be compiled first."""
     sizes: Callable[[Any, Path], tuple[float, float]] | None = None
     """sizes(params, video): how many frames, of how many pixels each, it will probably pick."""
+    moves: Callable[[Path], bool] | None = None
+    """moves(video): whether the camera seems to move, at a glance."""
     published: Published | None = None
     """published(dataset, sequence): the paper's PSNR, SSIM and LPIPS by region, empty if it has none."""
 
@@ -227,7 +229,7 @@ def keywords(function: Callable[..., None]) -> list[str]:
 def load_stage(name: str) -> StageModule:
     """Import a stage's module by its dotted name. The only way from the command line to a stage."""
     module = importlib.import_module(name)
-    known = ("RESUMES", "LOADS", "cost", "SHORTER", "check", "compiled", "sizes", "published")
+    known = ("RESUMES", "LOADS", "cost", "SHORTER", "check", "compiled", "sizes", "moves", "published")
     optional = {key: getattr(module, key, None) for key in known}
     given = {key.lower(): value for key, value in optional.items() if value is not None}
     return StageModule(module.Params, module.run, **given)

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
+from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from types import MappingProxyType
@@ -113,7 +114,9 @@ def bring(
                 unchecked = []
             console.begin(sure=True)
             if console.countdown is None:
-                console.expect(times.expected(session, stages[len(ran) :], done, forced, device_of(device)[0]))
+                known = times.here(device_of(device)[0])
+                ahead = times.expected(session, stages[len(ran) :], done, forced, known)
+                console.expect(ahead, partial(known.again, session))
             then = after.loads if after else None
             stamp, state = make(session, stage, verdict, done, device, held, then, console), "done"
         session.workspace.link(name, verdict.folder)

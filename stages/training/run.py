@@ -31,8 +31,10 @@ COLUMNS = ("step", "seconds", "psnr", "ssim", "psnr_person", "ssim_person", "hum
 """Of the curve."""
 SAVED = ("curve", "seconds", "parts", "choice", "deadline")
 """What a checkpoint holds besides the state of the training's `Fit`."""
-HALF, FULL = (0.4, 0.5), (0.8, 1.0)
-"""Of the time of a full, grown step: that of steps of each resolution before and after growth, see `Pace`."""
+HALF, FULL = (0.25, 0.6), (0.3, 1.0)
+NETWORKS, NETWORKS_ALONE = 0.33, 0.95
+"""Of the time of a full, grown step without networks: steps of each resolution before and after growth, see `Pace`, and the
+networks, with a scene and without. Six clips of the table through `default`, 2 idle cores of Zen 4, November 2026."""
 LEG = 5.0  # s of steps, whose pace is that of the steps to come
 
 
@@ -62,7 +64,9 @@ class Training:
     @cached_property
     def pace(self) -> Pace:
         """The pace of a training without a deadline: of a usual shape, and as fast as its last steps."""
-        return Pace(HALF, FULL, self.fit.half_until)
+        fit = self.fit
+        networks = (NETWORKS if fit.scene else NETWORKS_ALONE) if fit.people and fit.params.triplane else 0.0
+        return Pace(HALF, FULL, fit.half_until, networks=(networks, fit.params.networks_until))
 
     @property
     def weighs_effects(self) -> bool:

@@ -70,7 +70,7 @@ def a_run(console: Console, clock: list[float]) -> None:
     console.cached("frames", stamp("frames", seconds=4.1))
     console.cached("sfm", stamp("sfm", seconds=151.0, warnings=["static camera: the scene cannot be had"]))
     guesses = {"smpl": 4.0, "survey": 2.0, "train": 640.0, "evaluate": 90.0}
-    console.expect([(name, Guess(seconds, 1.5)) for name, seconds in guesses.items()])
+    console.expect([(name, Guess(seconds, 1.5)) for name, seconds in guesses.items()], lambda todo: {})
     console.started("smpl", (ParamChanged("smooth_hz", 4, 6),))
     console.ended("smpl", Outcome("done", seconds=3.2))
     console.started("survey", (InputChanged("smpl"),))

@@ -3,7 +3,7 @@ to do."""
 
 import pytest
 
-from hugs_cli.countdown import Countdown, Marks, Progress, remaining
+from hugs_cli.countdown import Countdown, Marks, Progress, remaining, weighted_median
 from hugs_cli.times import Guess
 
 STAGES = {"frames": 4.0, "masks": 41.0, "smpl": 75.0, "train": 610.0, "render": 60.0, "evaluate": 90.0, "notes": 3.0}
@@ -49,13 +49,14 @@ def simulated(slow_from: float = 1.0, guessed: float = 1.0, knows: bool = False,
     return shown, now
 
 
-def preview(slow: float = 1.0, compiling: float = 0.0, compiled_in: float = 1.0, cached: str = ""):
+def preview(slow: float = 1.0, compiling: float = 0.0, compiled_in: float = 1.0, cached: str = "", masks: float = 1.0):
     """The same of a first run of `preview`, on a machine `slow` times as slow as guessed. Kernels are guessed to compile in
-    so many seconds, and do so in `compiled_in` times that; one stage that is expected is `cached`."""
+    so many seconds, and do so in `compiled_in` times that; one stage that is expected is `cached`, and `masks` take so many times
+    as long."""
     guesses = {name: Guess(seconds, 2.0) for name, seconds in PREVIEW.items()}
     guesses["train"] = Guess(PREVIEW["train"] + compiling, 2.0, compiling)
     countdown, now, shown = Countdown(guesses.items()), 0.0, []
-    for stage, seconds in PREVIEW.items():
+    for stage, seconds in (PREVIEW | {"masks": masks * PREVIEW["masks"]}).items():
         if stage == cached:
             continue
         before = slow * compiling * compiled_in if stage == "train" else 0.0
@@ -121,9 +122,40 @@ def test_one_long_step_of_a_short_stage_is_no_slow_machine():
     assert countdown.left("survey", progress, 4.0) == pytest.approx(62, rel=0.1)
 
 
-def test_a_short_stage_shows_little_and_compiling_nothing_of_how_fast_the_machine_is():
+@pytest.mark.parametrize("slow", [1.0, 2.0])
+def test_one_stage_that_is_slow_for_reasons_of_its_own_slows_no_other(slow):
+    """As `masks` of courtyard, 2.9 times as long as usual (docs/lab/2026-11/speed.md)."""
+    shown, end = preview(slow, masks=2.9)
+    left = next(left for now, left in shown if now >= 0.5 * end)
+    assert left == pytest.approx(0.5 * end, rel=0.15)
+
+
+def test_what_a_stage_shows_of_the_clip_changes_its_own_guess_and_those_to_come():
+    first, asked = {"masks": 30.0, "sfm": 20.0, "train": 270.0, "render": 15.0}, []
+
+    def again(todo):
+        asked.append(todo)
+        return {"sfm": Guess(2.0, 1.0), "train": Guess(90.0, 1.0)} if todo[0] == "sfm" else {}
+
+    countdown = Countdown(((name, Guess(seconds, 1.0)) for name, seconds in first.items()), again)
+    for name, seconds in (("masks", 60.0), ("sfm", 4.0)):
+        countdown.started(name)
+        countdown.ended(name, seconds, 0.0)
+    countdown.started("train")
+    assert countdown.left("train", Progress(0.0), 0.0) == pytest.approx(2 * (90 + 15)), "the machine is half as fast"
+    assert asked == [["masks", "sfm", "train", "render"], ["sfm", "train", "render"]]
+
+
+def test_compiling_is_no_part_of_how_long_the_running_stage_takes():
+    countdown, progress = after(1.0, one=Guess(1.0, 1.0), train=Guess(54.0, 1.0, 34.0), render=Guess(30.0, 1.0))
+    for step in range(1, 17):
+        progress.take({"done": step, "total": 20, "left": 20.0 - step}, 100.0 + step)
+    assert countdown.left("train", progress, 116.0) == pytest.approx(4 + 30, rel=0.1)
+
+
+def test_a_short_stage_and_compiling_show_nothing_of_how_fast_the_machine_is():
     countdown, progress = after(10.0, frames=Guess(2.0, 1.0), train=Guess(98.0, 1.0))
-    assert 98 < countdown.left("train", progress, 0.0) < 200
+    assert countdown.left("train", progress, 0.0) == pytest.approx(98)
     countdown, progress = after(75.0, 55.0, train=Guess(54.0, 1.0, 34.0), render=Guess(30.0, 1.0))
     assert countdown.left("render", progress, 0.0) == pytest.approx(30)
 
@@ -156,6 +188,11 @@ def test_speed_is_that_of_the_last_third():
     for now in range(100, 20_000):
         marks.add(now, now)
     assert marks.speed() == pytest.approx(1) and len(marks.seen) < 2000
+
+
+def test_a_weighted_median_has_half_of_the_weight_below_it():
+    assert weighted_median([(3.0, 1.0), (1.0, 2.0), (2.0, 2.0)]) == 2 and weighted_median([(5.0, 0.1)]) == 5
+    assert weighted_median([(1.0, 1.0), (9.0, 1.1)]) == 9 and weighted_median([(1.0, 1.1), (9.0, 1.0)]) == 1
 
 
 def test_time_that_should_be_over_is_a_part_of_what_it_took():

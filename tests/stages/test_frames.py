@@ -78,6 +78,19 @@ def test_a_small_moving_thing_before_a_still_camera_is_not_a_copy(tmp_path):
     assert len(facts["frames"]) == 12
 
 
+def test_at_a_glance_a_camera_seems_to_move_unless_most_of_the_picture_rests(tmp_path):
+    """What cannot be seen is taken to move: a picture alone, a folder, a file that is no film."""
+    wall = panned(1)[0]
+    still = [wall.copy() for _ in range(20)]
+    for i, picture in enumerate(still):
+        picture[20 + 2 * i : 60 + 2 * i, : WIDTH // 3] = 12 * i
+    for name, pictures, moves in (("pan", panned(20), True), ("still", still, False), ("one", [wall], True)):
+        write_video(tmp_path / f"{name}.mp4", pictures, 30.0)
+        assert frames.moves(tmp_path / f"{name}.mp4") == moves
+    (tmp_path / "text.mp4").write_text("no film")
+    assert frames.moves(tmp_path / "text.mp4") and frames.moves(tmp_path) and frames.moves(tmp_path / "none.mp4")
+
+
 def test_large_videos_are_shrunk_and_small_ones_left(tmp_path):
     facts, out, _ = pick(tmp_path, panned(10, size=(240, 322)), max_side=161)
     assert (facts["width"], facts["height"]) == (161, 120)

@@ -26,11 +26,18 @@ class Pace:
 
     `half` and `full` are seconds a step at each resolution, before and after the share `half_until`, with as many
     Gaussians as at the start and as at the end; in between they grow evenly. `slow` is the factor by
-    which real steps were slower.
+    which real steps were slower. `networks`: seconds a step that are not in these, and the share after which they are saved.
     """
 
-    def __init__(self, half: tuple[float, float], full: tuple[float, float], half_until: float, slow: float = 1.0):
-        self.half, self.full, self.half_until, self.slow = half, full, half_until, slow
+    def __init__(
+        self,
+        half: tuple[float, float],
+        full: tuple[float, float],
+        half_until: float,
+        slow: float = 1.0,
+        networks: tuple[float, float] = (0.0, 0.0),
+    ):
+        self.half, self.full, self.half_until, self.slow, self.networks = half, full, half_until, slow, networks
 
     def mean(self, start: float, end: float = 1.0) -> float:
         """Mean seconds a step between two shares of the schedule."""
@@ -44,8 +51,9 @@ class Pace:
 
     def _at(self, done: float) -> float:
         few, many = self.half if done < self.half_until else self.full
+        more, until = self.networks
         grown = min(max((done - SCENE_GROWTH[0]) / (SETTLE - SCENE_GROWTH[0]), 0.0), 1.0)
-        return few + grown * (many - few)
+        return few + grown * (many - few) + (more if done < until else 0.0)
 
     def steps(self, seconds: float, done: float = 0.0) -> int:
         """How many steps from `done` on take `seconds`; at least one."""

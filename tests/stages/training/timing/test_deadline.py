@@ -1,7 +1,10 @@
 """Training within a time: pace, rehearsal, and the end on time on any machine."""
 
+from types import SimpleNamespace
+
 import pytest
 
+from stages.training.run import Training
 from stages.training.settings import Params
 from stages.training.step.schedule import SETTLE, Progress
 from stages.training.timing.calibration import ENOUGH, FEWEST, short_of
@@ -26,6 +29,45 @@ def test_a_pace_is_that_of_the_corners_and_between_them():
     assert 0.1 < PACE.mean(0.0, HALF_UNTIL) < 0.2 and 0.3 < PACE.mean(HALF_UNTIL, SETTLE) < 0.6
     whole = HALF_UNTIL * PACE.mean(0.0, HALF_UNTIL) + (1 - HALF_UNTIL) * PACE.mean(HALF_UNTIL)
     assert PACE.mean(0.0) == pytest.approx(whole, rel=0.01)
+
+
+def test_networks_take_their_time_until_they_rest():
+    pace = Pace(PACE.half, PACE.full, HALF_UNTIL, networks=(0.5, 0.7))
+    assert pace.mean(0.0, 0.7) == pytest.approx(PACE.mean(0.0, 0.7) + 0.5)
+    assert pace.mean(0.7) == PACE.mean(0.7) and pace.last == PACE.last
+
+
+STEPS = {
+    "synthetic": (True, (78, 91, 100, 122, 145, 122, 118, 127)),
+    "kitchen": (True, (85, 102, 114, 169, 211, 196, 164, 167)),
+    "courtyard": (True, (72, 77, 86, 120, 145, 131, 118, 112)),
+    "juggler": (False, (50, 51, 53, 77, 75, 48, 41, 41)),
+    "treadmill": (False, (53, 55, 57, 65, 75, 51, 45, 41)),
+    "spin": (False, (44, 48, 49, 53, 61, 39, 35, 36)),
+}
+"""Clip -> whether it has a scene, and ms a step in each eighth of its training: `default`, 2 idle cores of Zen 4, November 2026."""
+
+
+@pytest.mark.parametrize(("scene", "each"), STEPS.values(), ids=STEPS)
+def test_what_steps_still_take_is_known_on_the_way(scene, each):
+    params, spent, whole = Params(), 0.0, sum(each) / 1000 * Params().steps / len(each)
+    progress = Progress(params.steps, joint=True)
+    fit = SimpleNamespace(progress=progress, params=params, half_until=HALF_UNTIL, people=[1], scene=scene or None)
+    training = Training(SimpleNamespace(params=params), fit)
+    for progress.step in range(1, params.steps):
+        spent += each[len(each) * (progress.step - 1) // params.steps] / 1000
+        if progress.step % 25 == 0:
+            training.mark(spent)
+        if 0.2 <= progress.done <= 0.6 and progress.step % 70 == 0:
+            left = (params.steps - progress.step) * training.pace.mean(progress.done)
+            assert left == pytest.approx(whole - spent, rel=0.25)
+
+
+def test_a_training_without_networks_does_not_wait_for_them():
+    for triplane in (False, True):
+        params = Params(triplane=triplane)
+        fit = SimpleNamespace(params=params, half_until=HALF_UNTIL, people=[1], scene=None)
+        assert (Training(SimpleNamespace(params=params), fit).pace.networks[0] > 0) == triplane
 
 
 def test_as_many_steps_as_fit_and_at_least_one():
