@@ -4,7 +4,7 @@
 
 Seed 0 of each kind of `tests.made.gestures` is for setting constants, seed 1 is asked. Each clip is a NeuMan folder; cameras
 are the true ones. Masks, poses and the fingers of each frame are true or, with `--own`, found as the stages masks and smpl find
-them; no file carries a face. Printed: PSNR and LPIPS in the boxes of the hands and of the head, in six new gestures: of the
+them; faces are learned. Printed: PSNR and LPIPS in the boxes of the hands and of the head, in six new gestures: of the
 avatar with its fingers and face posed, and of the same avatar with both at rest. Boxes hold the true hand and the one at rest;
 those under 64 px are widened for LPIPS. For each, the person is moved so that its joint is where the true one is: a body whose feet
 no frame shows has a size of its own. Then how far fingers that were read are off, wrists put together. A picture of each
