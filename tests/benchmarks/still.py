@@ -21,6 +21,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from stages.formats.cameras import read_cameras
 from stages.formats.images import read_mask
 from stages.formats.video import decode, write_video
 from tests.made.command import ROOT
@@ -32,6 +33,7 @@ Y, X = np.mgrid[:SIDE, :SIDE].astype(np.float32)
 CLOTH = np.ascontiguousarray(texture(3)[..., 0].astype(np.float32))
 FLOOR = np.where(Y < 290, 125, 95).astype(np.float32)
 DUST = FLOOR - 30 * ((X % 61 < 2) & (Y % 53 < 2))
+DOOR = FLOOR - 35 * ((X > 60) & (X < 133) & (Y > 60) & (Y < 290))
 SOFT = cv2.GaussianBlur(CLOTH[:SIDE, :SIDE], (0, 0), 10)
 SPOT = 70 + 90 * np.exp(-((X - 190) ** 2 + (Y - 120) ** 2) / 12000)
 Shot = tuple[np.ndarray, np.ndarray]
@@ -76,8 +78,17 @@ def bumped(shot: Shot, i: int) -> np.ndarray:
     return warped(before(FLOOR, shot, i), 1, *((0, 0) if i < 14 else (8, -6)))
 
 
-def zooms(shot: Shot, i: int) -> np.ndarray:
-    return warped(before(CLOTH[:SIDE, :SIDE], shot, i), 1 + 0.012 * i, 0, 0)
+def zooms(wall: np.ndarray, sways: float, shot: Shot, i: int) -> np.ndarray:
+    """In, on a tripod unless it `sways` by so many px."""
+    return warped(before(wall, shot, i), 1 + 0.012 * i, sways * np.sin(1.3 * i), 0.8 * sways * np.cos(2.1 * i))
+
+
+def zooms_out(wall: np.ndarray, shot: Shot, i: int) -> np.ndarray:
+    return warped(before(wall, shot, i), 1 + 0.012 * (19 - i), 0, 0)
+
+
+def zooms_and_stops(wall: np.ndarray, shot: Shot, i: int) -> np.ndarray:
+    return warped(before(wall, shot, i), 1 + 0.02 * min(i, 9), 0, 0)
 
 
 def sways(wall: np.ndarray, shot: Shot, i: int) -> np.ndarray:
@@ -94,11 +105,13 @@ def warped(picture: np.ndarray, zoom: float, right: float, down: float) -> np.nd
 Scene = Callable[[Shot, int], np.ndarray]
 STANDS: dict[str, Scene] = {
     "blank": partial(before, 125 + 0 * X), "dark": dark, "out_of_focus": partial(before, SOFT), "curtain": curtain,
-    "screen": screen, "virtual": virtual, "fills": fills, "bumped": bumped, "zooms": zooms,
-    "spotlight": partial(before, SPOT),
+    "screen": screen, "virtual": virtual, "fills": fills, "bumped": bumped,
+    "spotlight": partial(before, SPOT), "zooms": partial(zooms, CLOTH[:SIDE, :SIDE], 0), "zooms_dots": partial(zooms, DUST, 0),
+    "zooms_door": partial(zooms, DOOR, 0), "zooms_out": partial(zooms_out, SOFT), "zooms_stops": partial(zooms_and_stops, DOOR),
 }  # fmt: skip
 MOVES: dict[str, Scene] = {
     "floor_sways": partial(sways, FLOOR), "dust_sways": partial(sways, DUST), "soft_sways": partial(sways, SOFT),
+    "dust_zooms_sways": partial(zooms, DUST, 3),
 }  # fmt: skip
 
 
@@ -135,6 +148,8 @@ def rate(video: Path, pipeline: str, stands: bool) -> str:
         return verdict
     held = json.loads((results / "evaluate" / "metrics.json").read_bytes())["heldout"]
     there = (results / "train" / "avatar.npz").is_file()
+    focals = read_cameras(results / "sfm" / "cameras.npz").Ks[:, 0, 0]
+    verdict += f", zooms to {focals.max() / focals.min():.2f}" if np.ptp(focals) else ""
     return f"{verdict}, {'an avatar' if there else 'NO avatar'}, {held['person_white']['psnr']:.1f} dB"
 
 

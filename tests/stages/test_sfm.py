@@ -10,6 +10,7 @@ from stages import sfm
 from stages.avatar.cameras import pinhole as cameras
 from stages.contract import StageError
 from stages.estimators.cameras import short_walk, solving
+from stages.estimators.cameras.motion import Pair
 from stages.estimators.cameras.sparse_model import write_ignored
 from stages.estimators.cameras.stillness import Stillness
 from stages.estimators.cameras.task import Solution
@@ -19,6 +20,7 @@ from stages.formats.points import read_points
 from tests.made import fits
 from tests.made.rooms import FOCAL, HEIGHT, K1, WALLS, WIDTH, run, walk, write_clip
 from tests.made.said import holds
+from tests.made.walls import DOOR, DUST, FRAMES, STILL, SWAY, film_wall
 from tests.made.worlds import umeyama
 
 READERS = [(read_image, "images"), (read_mask, "masks")]
@@ -167,6 +169,41 @@ def test_i02_blank_frames_leave_the_person_alone_and_are_an_error_with_numbers_i
     facts, events = run(tmp_path)
     assert facts["verdict"] == "static camera" and facts["registered"] == 3 and facts["motion"]["stays"] is None
     assert any(holds(event["text"], "no two frames", "assumed") for event in events if event["event"] == "warning")
+
+
+def write_walled(folder, wall: np.ndarray, way: np.ndarray, zoom: np.ndarray) -> None:
+    """The clip of somebody before a `wall` of tests.made.walls, with a camera as there."""
+    write_clip(folder, np.tile(np.eye(4), (len(way), 1, 1)))
+    for i, file in enumerate(film_wall(folder / "wall", wall, way, zoom=zoom)):
+        write_image(folder / f"frames/images/{3 * i:06d}.png", read_image(folder / "wall/images" / file))
+        write_mask(folder / f"masks/masks/{3 * i:06d}.png", 255 - read_mask(folder / "wall/ignored" / file))
+
+
+@pytest.mark.slow
+def test_a_zoom_before_nothing_but_dots_leaves_the_person_alone_with_its_lens(tmp_path):
+    zoom = 1 + 0.02 * np.arange(FRAMES)
+    write_walled(tmp_path, DUST, STILL, zoom)
+    facts, events = run(tmp_path)
+    assert facts["verdict"] == "static camera" and facts["registered"] == FRAMES
+    assert any(
+        holds(event["text"], "stands still and zooms", "1.22") for event in events if event["event"] == "warning"
+    )
+    assert read_cameras(tmp_path / "out/cameras.npz").Ks[:, 0, 0] == pytest.approx(1.2 * WIDTH * zoom, rel=5e-3)
+    shutil.rmtree(tmp_path / "out")
+    with pytest.raises(StageError, match="no two frames"):
+        run(tmp_path, camera="moving")
+
+
+@pytest.mark.slow
+def test_frames_that_match_none_of_those_that_stand_are_not_taken_to_stand(tmp_path, monkeypatch):
+    stands, match = np.arange(FRAMES) >= 5, solving.match_frames
+    write_walled(tmp_path, DOOR, np.where(stands[:, None], 0, 4 * SWAY), np.ones(FRAMES))
+    there = np.random.default_rng(0).uniform(0, HEIGHT, (60, 2))
+    same = [Pair(i, i + 1, there, there) for i in np.flatnonzero(stands)[:-1]]
+    monkeypatch.setattr(solving, "match_frames", lambda *args: (same, match(*args)[1]))
+    facts, events = run(tmp_path, features=512)
+    assert facts["verdict"] == "static camera" and facts["dropped"] == [f"{3 * i:06d}" for i in range(5)]
+    assert any(holds(event["text"], "5 others are left out") for event in events if event["event"] == "warning")
 
 
 def test_i04_i16_k03_masks_must_fit_the_frames(tmp_path):

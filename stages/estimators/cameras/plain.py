@@ -23,6 +23,7 @@ BLUR, SOFT = 2.0, 8.0  # px of it: noise is averaged away; what moves by the lim
 EXISTS = 1.0  # of 255: a change by less may be the compression's
 NOISE = 2.0  # times the noise: a change by less may be noise
 BLACK = 20  # of 255: what is never brighter may be a bar of a wider film; its rim stays in place
+REACH = np.ones((2 * round(2 * BLUR) + 1,) * 2, np.uint8)  # of a smoothed pixel
 HALF = 0.5  # of the frames must see a pixel
 CALM = 25  # per cent of the background that no curtain or screen covers
 EXPLAINED = 0.5  # of the changes of soft light that one motion of the picture must explain
@@ -75,21 +76,39 @@ def look(images: Path, ignored: Path, files: list[str]) -> Views:
     """Pictures spread over the whole clip; `ignored` has a mask of the same name for each, 0 = not looked at."""
     chosen = np.array(evenly(len(files), LOOKED_AT))
     grey, seen, rough, scale = [], [], [], 1.0
-    reach = np.ones((2 * round(2 * BLUR) + 1,) * 2, np.uint8)
     for file in [files[i] for i in chosen]:
-        whole = cv2.cvtColor(read_image(images / file), cv2.COLOR_RGB2GRAY).astype(np.float32)
-        scale = max(max(whole.shape) / SIDE, 1.0)
-        size = tuple(round(length / scale) for length in whole.shape[::-1])
-        picture = cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
-        there = cv2.resize(read_mask(ignored / file), size, interpolation=cv2.INTER_NEAREST) > 0
+        picture, there, scale = picture_of(images, ignored, file)
         smooth = cv2.GaussianBlur(picture, (0, 0), BLUR)
-        rough.append(np.median(np.abs(picture - smooth)[there]) if there.any() else 0.0)
+        rough.append(roughness(picture, smooth, there))
         grey.append(smooth)
-        seen.append(cv2.erode(there.astype(np.uint8), reach, borderValue=1) > 0)
-    bars = cv2.dilate((np.max(grey, 0) < BLACK).astype(np.uint8), reach) > 0
-    noise = 1.48 * float(np.median(rough)) / (2 * BLUR * np.sqrt(np.pi))  # a Gaussian's, smoothed by a Gaussian
+        seen.append(shrunk(there))
+    bars = cv2.dilate((np.max(grey, 0) < BLACK).astype(np.uint8), REACH) > 0
     free = np.array(seen) & ~bars
-    return Views(chosen, _equally_bright(np.array(grey), free), free, noise, scale)
+    return Views(chosen, _equally_bright(np.array(grey), free), free, noise_of(rough), scale)
+
+
+def picture_of(images: Path, ignored: Path, file: str) -> tuple[np.ndarray, np.ndarray, float]:
+    """A grey picture float32 [h,w] of SIDE px at most, where it shows the background bool [h,w], and px of the frame for its."""
+    whole = cv2.cvtColor(read_image(images / file), cv2.COLOR_RGB2GRAY).astype(np.float32)
+    scale = max(max(whole.shape) / SIDE, 1.0)
+    size = tuple(round(length / scale) for length in whole.shape[::-1])
+    there = cv2.resize(read_mask(ignored / file), size, interpolation=cv2.INTER_NEAREST) > 0
+    return cv2.resize(whole, size, interpolation=cv2.INTER_AREA), there, scale
+
+
+def shrunk(there: np.ndarray) -> np.ndarray:
+    """Where pixels bool [h,w], smoothed by BLUR, are as good as untouched by others."""
+    return np.asarray(cv2.erode(there.astype(np.uint8), REACH, borderValue=1)) > 0
+
+
+def roughness(picture: np.ndarray, smooth: np.ndarray, there: np.ndarray) -> float:
+    """How far pixels `there` bool [h,w] usually are from those smoothed by BLUR, of 255."""
+    return np.median(np.abs(picture - smooth)[there]) if there.any() else 0.0
+
+
+def noise_of(rough: list[float]) -> float:
+    """A smoothed pixel's noise by the `roughness` of pictures: a Gaussian's, smoothed by a Gaussian."""
+    return 1.48 * float(np.median(rough)) / (2 * BLUR * np.sqrt(np.pi))
 
 
 def judge(views: Views) -> Plain:
@@ -97,7 +116,7 @@ def judge(views: Views) -> Plain:
     often = views.seen.sum(0) >= max(HALF * len(views.seen), 2)
     limit, mean = STATIC_PX * max(often.shape), _mean(views.grey, views.seen)
     varies = np.sqrt(_mean((views.grey - mean) ** 2, views.seen))
-    slopes = [_slopes(picture) for picture in views.grey]
+    slopes = [slopes_of(picture) for picture in views.grey]
     steep = np.sqrt(_mean(np.array([x**2 + y**2 for x, y in slopes]), views.seen))
     lasting = np.hypot(*(_mean(np.array(slope), views.seen) for slope in zip(*slopes, strict=True)))
     edge = often & (limit * steep >= max(EXISTS, NOISE * views.noise))
@@ -137,7 +156,7 @@ def _sways(views: Views, often: np.ndarray, mean: np.ndarray, limit: float) -> b
             continue
         change = cv2.GaussianBlur(np.where(seen & often, picture - mean, 0), (0, 0), SOFT)[there]
         light = np.stack([np.ones(there.sum()), soft[there]], 1)
-        both = np.concatenate([np.stack([slope[there] for slope in _slopes(soft)], 1), light], 1)
+        both = np.concatenate([np.stack([slope[there] for slope in slopes_of(soft)], 1), light], 1)
         change = change - light @ np.linalg.lstsq(light, change)[0]
         way, left = np.linalg.lstsq(both, change)[:2]
         changed += float((change**2).sum())
@@ -175,7 +194,7 @@ def _mean(pictures: np.ndarray, seen: np.ndarray) -> np.ndarray:
     return (pictures * seen).sum(0) / np.maximum(seen.sum(0), 1)
 
 
-def _slopes(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def slopes_of(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Change of brightness a px along x and y."""
     y, x = np.gradient(picture)
     return x, y

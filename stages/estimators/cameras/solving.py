@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from stages.estimators.cameras import colmap_features, colmap_lens, short_walk
 from stages.estimators.cameras.changing import model_changes
 from stages.estimators.cameras.colmap import Model, refine
 from stages.estimators.cameras.intrinsics import settle, spreads
-from stages.estimators.cameras.ladder import Matched, best_rung, climb
+from stages.estimators.cameras.ladder import GOOD_SHARE, Matched, best_rung, climb
 from stages.estimators.cameras.motion import CameraMotion, Pair, camera_rotations, judge_motion
 from stages.estimators.cameras.plain import judge, look
 from stages.estimators.cameras.short_walk import TurnOrWalk
@@ -21,7 +20,7 @@ from stages.estimators.cameras.standing import HUMAN_ONLY, stands_still, taken_t
 from stages.estimators.cameras.stillness import measure_stillness
 from stages.estimators.cameras.task import Solution, Task, fixed_views
 from stages.estimators.cameras.verdict import Footage, NoCameras, components
-from stages.estimators.cameras.zooming import zoom_alone
+from stages.estimators.cameras.zooming import zoom_alone, zoom_of_edges
 
 CLEARLY = 1.25  # times the error of a short walk: a mapper's model with more gives way to it
 
@@ -29,12 +28,13 @@ CLEARLY = 1.25  # times the error of a short walk: a mapper's model with more gi
 def solve(task: Task) -> Solution:
     """The verdict on the camera's motion, and the cameras of a clip that stands, turns or walks."""
     job, parts = task.job, task.parts
-    ignored, database = task.scratch / "ignored", task.scratch / "database.db"
+    ignored, need = task.scratch / "ignored", math.ceil(task.min_share * len(task.names))
+    footage = Footage(task.names, task.images, ignored, task.scratch / "database.db", need)
     job.progress(0, 100)
     with parts.timed("masks"):
         write_ignored(task.names, task.masks, ignored, task.side)
     if task.moves:
-        return solve_moving(task, ignored, database)
+        return solve_moving(task, footage)
     with parts.timed("still or not"):
         stillness = measure_stillness(task.images, ignored, task.files)
     if stillness is not None and stillness.still:
@@ -46,17 +46,19 @@ def solve(task: Task) -> Solution:
     if edges.still:
         return stands_still(task, edges.drift_px, {"motion": edges.facts()})
     try:
-        return solve_moving(task, ignored, database)
+        return solve_moving(task, footage)
     except NoCameras as refusal:
+        with parts.timed("zoom"):
+            zoom = zoom_of_edges(task.images, ignored, task.files)
+        if zoom is not None and np.isfinite(zoom).sum() >= footage.need:
+            return zooms(task, footage, zoom, {"motion": edges.facts()})
         return taken_to_stand(task, views, edges, refusal)
 
 
-def solve_moving(task: Task, ignored: Path, database: Path) -> Solution:
+def solve_moving(task: Task, footage: Footage) -> Solution:
     """The cameras of a clip by its features; raises NoCameras where they place too few frames."""
     job, parts, size = task.job, task.parts, task.size
-    pairs, facts = match_frames(task, ignored, database)
-    need = math.ceil(task.min_share * len(task.names))
-    footage = Footage(task.names, task.images, ignored, database, need)
+    pairs, facts = match_frames(task, footage)
     if not pairs:
         footage.require(job, [], [])  # raises
     with parts.timed("turning or not"):
@@ -67,6 +69,8 @@ def solve_moving(task: Task, ignored: Path, database: Path) -> Solution:
         "rotation_limit_px": motion.rotation_limit_px,
     }
     if motion.verdict == "static camera" and not task.moves:
+        if components(pairs, len(task.names))[0].sum() < GOOD_SHARE * len(task.names):
+            footage.require(job, [], [])  # raises: nothing shows that the others stand where these do
         return stands_still(task, motion.displacement_px, facts)
     zoom = zoom_alone(pairs, len(task.names), *size) if motion.verdict == "moving" and not task.moves else None
     if zoom is not None:
@@ -80,21 +84,24 @@ def solve_moving(task: Task, ignored: Path, database: Path) -> Solution:
             return solve_turn(task, footage, motion, compared, pairs, facts)
     job.progress(55, 100)
     fixed = task.focal is not None
-    matched = Matched(database, task.images, task.scratch, len(task.names), task.side, need, task.overlap, fixed)
+    count, database = len(task.names), footage.database
+    matched = Matched(database, task.images, task.scratch, count, task.side, footage.need, task.overlap, fixed)
     walk = solve_walk(task, matched, footage, motion, compared, pairs, facts)
     return walk or solve_turn(task, footage, motion, compared, pairs, facts)
 
 
-def match_frames(task: Task, ignored: Path, database: Path) -> tuple[list[Pair], dict[str, Any]]:
-    """The verified pairs of frames, and the first facts for sfm.json; features and matches go to `database`."""
-    count, known = len(task.names), task.known_focal
+def match_frames(task: Task, footage: Footage) -> tuple[list[Pair], dict[str, Any]]:
+    """The verified pairs of frames, and the first facts for sfm.json; features and matches go to the footage's database."""
+    count, known, database = len(task.names), task.known_focal, footage.database
     camera = [known, *task.center, 0.0] if known else []
 
     def extracted(done: int) -> None:
         task.job.progress(30 * done // count, 100)
 
     with task.parts.timed("features"):
-        colmap_features.extract(database, task.images, ignored, task.files, task.features, camera, extracted=extracted)
+        colmap_features.extract(
+            database, task.images, footage.ignored, task.files, task.features, camera, extracted=extracted
+        )
     with task.parts.timed("matches"):
         colmap_features.match(database, count.bit_length(), growing=True, side=task.side)
         if task.overlap > 2:

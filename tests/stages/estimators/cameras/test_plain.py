@@ -1,25 +1,27 @@
 """Cameras before walls without corners: those that stand, those that move a little, and where nothing shows it."""
 
-import cv2
 import numpy as np
 import pytest
 
 from stages.estimators.cameras.plain import Plain, Views, judge, look, standing_part
-from stages.formats.images import write_image, write_mask
-from tests.made.rooms import texture
+from tests.made.walls import (
+    BLANK,
+    BUMP,
+    CLOTH,
+    DARK,
+    DEFOCUSED,
+    DUST,
+    FLOOR,
+    HEIGHT,
+    SPOT,
+    STILL,
+    SWAY,
+    WIDTH,
+    X,
+    Y,
+    film_wall,
+)
 
-WIDTH, HEIGHT, FRAMES = 320, 240, 12
-STILL = np.zeros((FRAMES, 2))
-SWAY = np.stack([2.5 * np.sin(1.3 * np.arange(FRAMES)), 2 * np.cos(2.1 * np.arange(FRAMES))], 1)
-BUMP = np.where(np.arange(FRAMES)[:, None] < 8, 0, [7, -5])
-CLOTH = texture(3)[..., 0].astype(np.float32)
-Y, X = np.mgrid[:HEIGHT, :WIDTH].astype(np.float32)
-FLOOR = np.where(Y < 160, 120, 95).astype(np.float32)
-DUST = FLOOR - 30 * ((X % 61 < 2) & (Y % 53 < 2))
-SPOT = 80 + 90 * np.exp(-((X - 90) ** 2 + (Y - 90) ** 2) / 9000)
-BLANK = np.full((HEIGHT, WIDTH), 110, np.float32)
-DARK = 4 + 0.04 * FLOOR
-DEFOCUSED = cv2.GaussianBlur(CLOTH[:HEIGHT, :WIDTH], (0, 0), 8)
 VIGNETTE = 1 - 0.2 * ((X - WIDTH / 2) ** 2 + (Y - HEIGHT / 2) ** 2) / (WIDTH / 2) ** 2
 
 
@@ -51,22 +53,8 @@ def film_bars(image: np.ndarray, frame: int) -> None:
 
 
 def seen(folder, wall: np.ndarray, way: np.ndarray, change=None) -> Views:
-    rng = np.random.default_rng(0)
-    for kind in ("images", "ignored"):
-        (folder / kind).mkdir()
-    for i, (dx, dy) in enumerate(way):
-        moved = np.array([[1, 0, dx], [0, 1, dy]], np.float32)
-        image = cv2.warpAffine(wall, moved, (WIDTH, HEIGHT), borderMode=cv2.BORDER_REPLICATE)
-        if change:
-            change(image, i)
-        left = 130 + 3 * i
-        image[60:220, left : left + 50] = 200 if i % 2 else 20  # somebody
-        image = np.repeat(image[..., None], 3, 2) + rng.normal(0, 1.5, (HEIGHT, WIDTH, 3))
-        mask = np.full((HEIGHT, WIDTH), 255, np.uint8)
-        mask[56:224, left - 4 : left + 54] = 0
-        write_image(folder / f"images/{i:02d}.png", image.clip(0, 255).round().astype(np.uint8))
-        write_mask(folder / f"ignored/{i:02d}.png", mask)
-    return look(folder / "images", folder / "ignored", [f"{i:02d}.png" for i in range(len(way))])
+    files = film_wall(folder, wall, way, change)
+    return look(folder / "images", folder / "ignored", files)
 
 
 @pytest.mark.parametrize(("wall", "change"), [
@@ -105,5 +93,4 @@ def test_what_stays_in_a_few_places_leaves_doubt_and_all_over_the_picture_none()
 def test_of_a_tripod_that_was_bumped_the_larger_part_stands(tmp_path):
     views = seen(tmp_path, FLOOR, BUMP)
     assert judge(views).moves and standing_part(views).tolist() == list(range(8))
-    (tmp_path / "hand").mkdir()
     assert standing_part(seen(tmp_path / "hand", FLOOR, SWAY)) is None
