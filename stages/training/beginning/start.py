@@ -181,7 +181,7 @@ class _Start:
         vertices, _ = body(betas, torch.zeros(1, 3), pose[None], torch.zeros(1, 3))
         rig = read_hands_face(model)
         hands = face = None
-        if rig is not None and self.decisions.get("face", False):
+        if rig is not None and len(rig.face_points) and self.decisions.get("face", False):
             face = FaceSkin(*map(self._tensor, FaceSkin.of(rig, body, betas)))
         if rig is not None and clip.hand_shape is not None:  # the canonical pose leaves arms as they are at rest
             rest, _ = body.rest(betas)

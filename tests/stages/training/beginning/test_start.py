@@ -31,6 +31,20 @@ def test_the_persons_hands_begin_as_the_clip_shows_them(tiny):
     assert far[hand].max() > 0.03 and far[~hand].max() < 1e-6 and torch.equal(still.body.joints, moved.body.joints)
 
 
+def test_a_face_is_learned_where_survey_says_so_and_the_body_has_one(tiny):
+    clip, params = load_clip(tiny["sfm"], tiny["smpl"]), Params(human_points=2000, channels=4, resolution=16)
+    bare = replace(clip.body_model, name="SMPL")
+    faceless = replace(
+        bare, name="SMPL-X", fingers=replace(read_hands_face(clip.body_model), face_points=np.zeros((0, 3)))
+    )
+    learned = [
+        build(Task([replace(clip, body_model=model)], params, {"scene": False, "face": on}), print).people[0]
+        for model, on in ((clip.body_model, True), (clip.body_model, False), (bare, True), (faceless, True))
+    ]
+    assert [one.body.face is not None for one in learned] == [True, False, False, False]
+    assert [one.corrections.face is not None for one in learned] == [True, False, False, False]
+
+
 def test_a_hand_stands_in_each_frame_as_that_frame_shows_its_fingers(tiny):
     """A frame with the clip's one shape is drawn as without fingers; where the index bends more, its skin goes along."""
     clip, params = load_clip(tiny["sfm"], tiny["smpl"]), Params(human_points=2000, channels=4, resolution=16)
