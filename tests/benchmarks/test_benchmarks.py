@@ -117,7 +117,7 @@ def test_exclusive_times_add_up_to_the_total(monkeypatch):
 @pytest.mark.slow
 def test_benchmarks_that_are_run_by_hand_speak_of_what_there_is(tmp_path):
     """Settings, effects and lines of code that they name exist: one that named a setting long gone had rotted unseen."""
-    assert set(effects.STRENGTHS) == set(DETECTORS)
+    assert set(effects.STRENGTHS) == set(DETECTORS) - {"face"}, "gestures has clips of faces, near and far"
     assert set(effect_models.EFFECTS) <= set(DETECTORS)
     assert set(loose.GARMENTS) == {*MAKERS, "none", *one_pose.KINDS}
     train.Params(**effect_models.PARAMS)
