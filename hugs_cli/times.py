@@ -31,6 +31,9 @@ LOADING = 1.0  # s of a stage that do not depend on sizes
 FINISHING, SETTLING = 100, 200  # steps that take as long as what follows the last one, and settling in it, at most
 KEPT, ASKED = 400, 5  # rows in the file, and the last ones of a stage that a guess is made from
 SHORT = 2.0  # s; shorter stages tell nothing
+SMALL = (
+    0.04  # of the work of `default`: nor does less, as in tests; `ci` of the synthetic clip has 0.06, `preview` more
+)
 LEAST = 250  # steps of a training that takes as long as the shortest one, with what it times and the least after it
 WORTH = 10.0  # s; of a shorter run it is not found out how busy the machine is
 OFF = {0: 2.0, 1: 1.6, 2: 1.4}
@@ -191,12 +194,15 @@ def _form() -> TypeAdapter[list[Row]]:
 
 
 def learn(session: Session, stage: Stage, seconds: float, device: str, compiling: float = 0.0) -> None:
-    """Keep how long a stage took, without the seconds in which it was `compiling`; not of a short one, nor of a training that
-    was fitted into a time.
+    """Keep how long a stage took, without the seconds in which it was `compiling`; not of a short or a small one, nor of a
+    training that was fitted into a time.
     """
     if seconds - compiling < SHORT or stage.params.model_dump().get("seconds"):
         return
-    alone, sizes = (seconds - compiling) / slowed(stage.name), sizes_of(session, ())
+    sizes = sizes_of(session, ())
+    if work(stage.name, sizes._replace(moves=True, scene=True)) < SMALL:
+        return
+    alone = (seconds - compiling) / slowed(stage.name)
     row = Row(stage.name, stage.module, session.pipeline.name, device, processors(), sizes, alone)
     with suppress(OSError):  # a full disk: the next guess is a little worse
         folder().mkdir(parents=True, exist_ok=True)

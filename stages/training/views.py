@@ -11,8 +11,8 @@ from torch import Tensor
 
 from stages.avatar.body.smpl import vertex_normals
 from stages.avatar.cameras.pinhole import onto
-from stages.avatar.drawing.attach import FaceSkin, HandSkin, MovedByFace
-from stages.avatar.drawing.avatar import Gloves, turned_fingers
+from stages.avatar.drawing.attach import FaceSkin, HandSkin
+from stages.avatar.drawing.avatar import Gloves, Mien, turned_fingers
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.shadow import Casters, casters
 from stages.avatar.effects.speeds import Speeds
@@ -152,11 +152,11 @@ class FittedBody(NamedTuple):
 
     def posed(self, resting: Resting, frame: int) -> Splats:
         """Someone at rest with this body and these clothes, as they stand in a frame."""
-        if (moved := self.moved_by_face(resting)) is not None and self.expressions is not None:
-            resting = resting._replace(means=moved.moved(resting.means, self.expressions[frame]))
+        if (mien := self.mien(resting)) is not None and self.expressions is not None:
+            resting = resting._replace(means=mien.moved(resting.means, self.expressions[frame]))
         return self.placed(resting, self.bones(frame), self.transl[frame], frame)._replace(antialias=self.antialias)
 
-    def moved_by_face(self, resting: Resting) -> MovedByFace | None:
+    def mien(self, resting: Resting) -> Mien | None:
         """What of someone at rest moves with the face; None where none is learned."""
         return None if self.face is None else self.face.at(resting.means.detach(), resting.weights.detach())
 

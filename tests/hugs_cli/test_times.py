@@ -251,6 +251,10 @@ def test_what_tells_nothing_is_not_kept(free, tmp_path, monkeypatch):
     train = clip.pipeline.stages["train"]
     learn(clip, train, SHORT / 2, "cpu")
     learn(clip, replace(train, params=train.params.model_copy(update={"seconds": 600.0})), 500.0, "cpu")
+    small = Sizes(frames=12, pixels=192 * 256, steps=8)
+    with monkeypatch.context() as patch:
+        patch.setattr("hugs_cli.times.sizes_of", lambda session, todo: small)
+        learn(clip, train, 3.0, "cpu")
     assert times.kept() == []
     learn(clip, train, 500.0, "cpu")
     assert [row.seconds for row in times.kept()] == [500]

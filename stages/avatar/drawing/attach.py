@@ -15,7 +15,7 @@ from stages.avatar.body.fingers import bent_skin, finger_joints
 from stages.avatar.body.joints import HANDS, HEAD
 from stages.avatar.body.skinning import knn_weights
 from stages.avatar.body.smpl import Body
-from stages.avatar.drawing.avatar import load_avatar
+from stages.avatar.drawing.avatar import Mien, load_avatar
 from stages.avatar.splats.neighbours import nearest, shares_of
 
 HELD = 0.02  # of a Gaussian's weights: less than that on a hand's joints is none of a finger's
@@ -41,9 +41,10 @@ def attach(
     fingers = gestures.Fingers(*(part.numpy() for part in (joints, tips, shape, rows.int(), shares)))
     if not len(rig.face_points):
         return replace(avatar, fingers=fingers)
-    rows, moves = FaceSkin.of(rig, model, betas).at(resting.means, resting.weights).moves()
+    mien = FaceSkin.of(rig, model, betas).at(resting.means, resting.weights)
+    moves = mien.moves.unflatten(1, (-1, 3))
     kept = moves.norm(dim=2).amax(0) > STILL
-    face = gestures.Face(rows[kept].int().numpy(), moves[:, kept].half().numpy())
+    face = gestures.Face(mien.rows[kept].int().numpy(), moves[:, kept].half().numpy())
     return replace(avatar, fingers=fingers, face=face)
 
 
@@ -86,7 +87,7 @@ class FaceSkin(NamedTuple):
         return cls(face_at(rig, model.v_template, model.shapedirs, betas), torch.as_tensor(rig.face_shapes))
 
     @torch.no_grad()
-    def at(self, means: Tensor, weights: Tensor) -> MovedByFace:
+    def at(self, means: Tensor, weights: Tensor) -> Mien:
         """What of Gaussians at rest at means[N,3] m, with weights[N,J], moves with the face: as the points around each, as far as
         the head's bone carries it.
         """
@@ -97,22 +98,5 @@ class FaceSkin(NamedTuple):
         close = away[:, 0] < FACE[1]
         rows, away, near = rows[close], away[close].to(self.points), near[close]
         part = ((FACE[1] - away[:, :1]) / (FACE[1] - FACE[0])).clamp(0, 1)
-        return MovedByFace(self, rows, near, part * shares_of(away))
-
-
-class MovedByFace(NamedTuple):
-    """Gaussians `rows` [M] that follow the points `near` [M,NEAR] of a face by `shares` [M,NEAR]."""
-
-    face: FaceSkin
-    rows: Tensor
-    near: Tensor
-    shares: Tensor
-
-    def moves(self) -> tuple[Tensor, Tensor]:
-        """The rows, and how each shape moves them at coefficient 1, [52,M,3] m."""
-        return self.rows, torch.einsum("mk,smkc->smc", self.shares, self.face.shapes[:, self.near])
-
-    def moved(self, means: Tensor, coefficients: Tensor) -> Tensor:
-        """All Gaussians' means [N,3] m with `coefficients` [52] of the face; differentiable in both."""
-        points = torch.einsum("s,spc->pc", coefficients, self.face.shapes)
-        return means.index_add(0, self.rows, (self.shares[..., None] * points[self.near]).sum(1))
+        moves = torch.einsum("mk,smkc->smc", part * shares_of(away), self.shapes[:, near])
+        return Mien(rows, moves.flatten(1))

@@ -61,7 +61,7 @@ def turned_fingers(joints: Tensor, shape: Tensor, hands: Tensor, bones: Tensor) 
 
 
 class Mien(NamedTuple):
-    """A face as `gestures.Face` holds it, as tensors, with `moves` [52,3M]."""
+    """A face as `gestures.Face` holds it, as tensors: Gaussians `rows` [M] and their `moves` [52,3M] m."""
 
     rows: Tensor
     moves: Tensor
@@ -71,6 +71,10 @@ class Mien(NamedTuple):
         """The tensors of a record, float32 and int64."""
         moves = torch.as_tensor(face.moves).float().flatten(1)
         return cls(torch.as_tensor(face.rows).long().to(device), moves.to(device))
+
+    def moved(self, means: Tensor, coefficients: Tensor) -> Tensor:
+        """All Gaussians' means [N,3] m at rest with `coefficients` [52]; differentiable in both."""
+        return means.index_add(0, self.rows, (coefficients @ self.moves).unflatten(-1, (-1, 3)))
 
 
 class Baked(NamedTuple):
@@ -162,8 +166,7 @@ def mimed(avatar: Baked, face: Tensor) -> Resting:
     """The Gaussians at rest with coefficients `face` [52]; ValueError where the avatar has no face."""
     if avatar.face is None:
         raise ValueError("the avatar has no face that moves")
-    means, rows = avatar.resting.means, avatar.face.rows
-    return avatar.resting._replace(means=means.index_add(0, rows, (face @ avatar.face.moves).unflatten(-1, (-1, 3))))
+    return avatar.resting._replace(means=avatar.face.moved(avatar.resting.means, face))
 
 
 def fingers_of(avatar: Baked, hands: Tensor, bones: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""A face that talks: is it large enough in frames that look at it?"""
+"""A face that talks: is it large enough where it looks at the camera?"""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from stages.formats.hands_face import read_hands_face
 HIGH = 48.0  # px: at 62 a smile, a blink and an open mouth are told apart
 MOVES = 3e-3  # m: what a shape moves so far is of the face
 AHEAD = 0.5  # cosine of the angle between where a face looks and the camera, at least
-LEAST = 5  # frames that look at it
+LEAST = 5  # frames in which it does
 UNIT = "px, the height of the face"
 
 
 def detect(evidence: ClipEvidence) -> Finding:
-    """The median height of the face in frames that look at it."""
+    """The median height of the face in frames in which it looks at the camera."""
     clip, rig = evidence.clip, read_hands_face(evidence.clip.body_model)
     if rig is None or not len(rig.face_points):
         return unmeasured(UNIT, HIGH, "the body model has no face that moves")
@@ -39,6 +39,6 @@ def detect(evidence: ClipEvidence) -> Finding:
     heights = np.ptp(project(placed, clip.viewmats, clip.Ks)[0][..., 1], axis=1)
     heights[~(ahead & (poses.confidence > 0))] = np.nan
     if (~np.isnan(heights)).sum() < LEAST:
-        return unmeasured(UNIT, HIGH, f"fewer than {LEAST} frames look at the face")
+        return unmeasured(UNIT, HIGH, f"the face looks at the camera in fewer than {LEAST} frames")
     names = strongest_frames(clip.names, heights)
     return compare(float(np.nanmedian(heights)), UNIT, HIGH, ("large enough", "too small"), names)

@@ -79,7 +79,7 @@ def settle(
     steps = min(STEPS, round(SHARE * taken))
     learner, scales = who.who, person.scales
     seen, resting = learner.masked(views), learner.body.gloved(rest(person, learner.canonical_bones))
-    moved = learner.body.moved_by_face(resting)
+    mien = learner.body.mien(resting)
     first = person.sh, person.opacities, scales, person.means
     change = Change(*(torch.zeros_like(part).requires_grad_() for part in first))
     adam = torch.optim.Adam([{"params": [part], "name": name} for name, part in change._asdict().items()], eps=1e-15)
@@ -88,7 +88,7 @@ def settle(
     row = torch.arange(len(person.means) + (0 if cast.scene is None else len(cast.scene.means)), device=scales.device)
     for step, i in enumerate(islice(cycle(person_frames(learner.body, seen, frames)), steps)):
         held = change.held(known.own, known.told)
-        moment = cast.at(i, [replace(who, resting=held.at_rest(resting, scales), moved=moved)])
+        moment = cast.at(i, [replace(who, resting=held.at_rest(resting, scales), mien=mien)])
         image, mask, everybody = views.images[i].float() / 255, *(m[i].float() / 255 for m in (seen.masks, views.masks))
         camera = views.camera(i)
         left, top, right, bottom = box = person_box(mask, moment.people[0].means.detach(), camera.viewmat, camera.K)

@@ -268,8 +268,8 @@ class Fit:
         self, who: PersonLearner, resting: Resting, pose: Callable[[int], Poses], swings: bool = False
     ) -> Learning:
         """Somebody at rest, as a `Cast` draws them in the poses of frames; see `Learning`."""
-        moved = who.moved if swings else who.body.moved_by_face(resting)
-        return Learning(who, resting, pose, self.options.antialias, self.effects.clothes is not None, swings, moved)
+        mien = who.mien if swings else who.body.mien(resting)
+        return Learning(who, resting, pose, self.options.antialias, self.effects.clothes is not None, swings, mien)
 
     def pose(self, who: PersonLearner, frame: int) -> Poses:
         """Those of a frame, corrected where poses are refined, with the face where that is learned."""

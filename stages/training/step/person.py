@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.optim import Optimizer
 
 from stages.avatar.body.skinning import knn_weights
-from stages.avatar.drawing.attach import MovedByFace
+from stages.avatar.drawing.avatar import Mien
 from stages.avatar.effects.shadow import Casters
 from stages.avatar.kernels.products import products, turned
 from stages.avatar.model.decoders import OWN
@@ -122,7 +122,7 @@ class PersonLearner:
             self.normals = turned(rotations.detach(), self.human.normals)
             hands = self.body.hands
             self.gloves = None if hands is None else hands.gloves(means.detach(), shared.weights.detach())
-            self.moved = None if self.body.face is None else self.body.face.at(means.detach(), shared.weights.detach())
+            self.mien = None if self.body.face is None else self.body.face.at(means.detach(), shared.weights.detach())
             self.shared, self.decoded = shared, shared._asdict() | {"means": means, "rotations": rotations}
             # those of OWN also without networks, for `color_grad_sum`
             taught = {name: t.requires_grad or name in OWN for name, t in self.decoded.items()}
@@ -211,7 +211,7 @@ class Learning:
     """A `Performer`: somebody who learns, as they are `resting`, in the poses of frames.
 
     `swings`: clothes swing as corrected in the frame, else as the pose makes them; not `clothed`: they follow the skeleton.
-    `moved`: what moves with the face, None where that stays still.
+    `mien`: their face, None where it stays still.
     """
 
     who: PersonLearner
@@ -220,7 +220,7 @@ class Learning:
     antialias: bool
     clothed: bool
     swings: bool = False
-    moved: MovedByFace | None = None
+    mien: Mien | None = None
 
     def shown(self, frame: int) -> bool:
         """Whether the frame shows the person."""
@@ -240,8 +240,8 @@ class Learning:
 
     def _posed(self, frame: int, swings: bool) -> Splats:
         body, (orient, body_pose, transl, face), resting = self.who.body, self.pose(frame), self.resting
-        if self.moved is not None and face is not None:
-            resting = resting._replace(means=self.moved.moved(resting.means, face))
+        if self.mien is not None and face is not None:
+            resting = resting._replace(means=self.mien.moved(resting.means, face))
         bones = bone_transforms(body.joints, body.parents, orient, body_pose)
         if body.clothing is not None:
             swing = body.clothing.swing(body_pose) if self.clothed else None

@@ -1,4 +1,4 @@
-"""Small corrections learned per frame: of the person's pose and place, and of the camera and its exposure."""
+"""What is learned per frame: small corrections of the person's pose and place, their face, and the camera and its exposure."""
 
 from __future__ import annotations
 

@@ -28,9 +28,9 @@ def talking():
     with torch.no_grad():
         canonical = human()[0]._replace(sh=torch.sin(8 * person.vertices)[:, None] * 1.5, weights=person.weights)
         resting = rest(canonical, bone_transforms(person.joints, PARENTS, torch.zeros(3), torch.zeros(69)))
-        moved = person.face.at(resting.means, resting.weights)
+        mien = person.face.at(resting.means, resting.weights)
         for f, shown in enumerate(SHOWN):
-            open_wide = resting._replace(means=moved.moved(resting.means, shown * F.one_hot(torch.tensor(0), 52)))
+            open_wide = resting._replace(means=mien.moved(resting.means, shown * F.one_hot(torch.tensor(0), 52)))
             splats = pose(open_wide, person.bones(f), person.transl[f])
             (drawn,) = compose(splats, scene.splats(), views.camera(f))
             images.append((drawn.image.clamp(0, 1) * 255).round().byte())
