@@ -35,6 +35,7 @@ def run(
     cameras: Pathish | None = None,
     smpl_fit: Pathish | None = None,
     landmarks: Pathish | None = None,
+    face: Pathish | None = None,
     body_model: Pathish | None = None,
     height: str | float | Sequence[str | float] | None = None,
     scale: str | None = None,
@@ -53,7 +54,7 @@ def run(
 
     - `video`: a video, a folder of pictures, or the folder of a data set. `pipeline`: a name in pipelines.yaml or `pipelines_file`.
     - `work`: the folder of all results. `settings`: by stage and name, for example {"train.steps": 4000}; `hugs stages` lists them.
-    - `masks`, `cameras`, `smpl_fit`, `landmarks`, `body_model`: files of other programs, see docs/inputs.md.
+    - `masks`, `cameras`, `smpl_fit`, `landmarks`, `face`, `body_model`: files of other programs, see docs/inputs.md.
     - `person`: the id of the person to follow, if several are in view; "all" makes an avatar of each.
     - `height`: of the person, barefoot, in m or as "6ft1"; a list for several people, in order. `scale`: a length on the page and
       its true length, for example "2.31=2.00"; or "cameras".
@@ -73,6 +74,7 @@ def run(
         cameras=_path(cameras),
         smpl_fit=_path(smpl_fit),
         landmarks=_path(landmarks),
+        face=_path(face),
         body_model=_path(body_model),
         height=_texts(height),
         scale=scale,

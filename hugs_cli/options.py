@@ -106,6 +106,9 @@ class Kept:
     landmarks: Annotated[
         Path | None, Option(help="Keypoints to import: OpenPose, MMPose, AlphaPose, ViTPose .json; .csv, .trc, .npz.")
     ] = None
+    face: Annotated[
+        Path | None, Option(help="A face capture of the clip to import (csv): a time and the 52 shapes.")
+    ] = None
     body_model: BodyModel = None
     height: Annotated[
         list[str] | None,
@@ -158,6 +161,7 @@ class RunOptions(Kept):
             "cameras": self.cameras,
             "smpl_fit": self.smpl_fit,
             "landmarks": self.landmarks,
+            "face": self.face,
             "body_model": self.body_model,
         }
         if seeded and int(seeded[1]) > MAX_SEED:

@@ -28,6 +28,7 @@ SOURCES = {
     "cameras": "--cameras",
     "smpl_fit": "--smpl-fit",
     "landmarks": "--landmarks",
+    "face": "--face",
     "body_model": "--body-model",
 }
 PIPELINE_KEYS = ("doc", "extends", "report", "stages")

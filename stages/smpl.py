@@ -44,14 +44,18 @@ def check(
     video: Path,
     smpl_fit: Path | None = None,
     landmarks: Path | None = None,
+    face: Path | None = None,
     body_model: Path | None = None,
 ) -> None:
     """See `contract.StageModule`."""
     from stages.estimators import assets
+    from stages.estimators.bodyfit.given_face import check_face
     from stages.estimators.bodyfit.inputs import check_given
     from stages.formats.body_model import read_body_model
 
     check_given(video, smpl_fit, body_model, landmarks)
+    if face is not None:
+        check_face(face, read_body_model(body_model))
     if body_model is None or read_body_model(body_model).fingers is not None:
         assets.path("hand_landmark_full.tflite")
 
@@ -64,18 +68,20 @@ def run(
     sfm: Path,
     smpl_fit: Path | None = None,
     landmarks: Path | None = None,
+    face: Path | None = None,
     body_model: Path | None = None,
 ) -> None:
     """Write body.npz, hands.npz, body_model.npz, ground.json, smpl.json, pictures of the fit in overlays/, and landmarks.npz if
     poses are estimated here.
 
     Poses come from `smpl_fit`, from the fit that a data set brought along, or from `landmarks`, else BlazePose's, and the masks.
-    Frames without a person are filled in between their neighbours with confidence 0. Results of further
-    people are in people/2 and so on, in the world of the first. Raises StageError if nearly no frame shows a person.
+    Frames without a person are filled in between their neighbours with confidence 0. A `face` is that of the only person. Results
+    of further people are in people/2 and so on, in the world of the first. Raises StageError if nearly no frame shows a person.
     """
     import numpy as np
 
     from stages.estimators.bodyfit.floor import floor_of
+    from stages.estimators.bodyfit.given_face import with_face
     from stages.estimators.bodyfit.inputs import of_person, read_inputs
     from stages.estimators.bodyfit.metre import find_metre, stature_of
     from stages.estimators.bodyfit.reporting import report_ground
@@ -103,6 +109,8 @@ def run(
     if metre.given:
         world = metre.factors[0] * fits[0].poses.world_from_sfm
         fits = [in_metres(fit, k, world, clip) for fit, k in zip(fits, metre.factors, strict=True)]
+    if face is not None:
+        fits = with_face(job, face, fits, clip.times)
     for person, own, fit, stature in zip(people, jobs, fits, statures, strict=True):
         if person == 1 or fit.model is not fits[0].model:
             write_body_model(folder_of(job.out, person) / "body_model.npz", fit.model)

@@ -1,14 +1,14 @@
 """How well an avatar's fingers and face take gestures that its clip never showed: synthetic clips with all truth.
 
-    python -m tests.benchmarks.gestures WORK [--half setting] [--only near] [--own] [--steps 400] [--json out.json]
+    python -m tests.benchmarks.gestures WORK [--half setting] [--only near] [--inputs true] [--steps 400] [--json out.json]
 
 Seed 0 of each kind of `tests.made.gestures` is for setting constants, seed 1 is asked. Each clip is a NeuMan folder; cameras
-are the true ones. Masks, poses and the fingers of each frame are true or, with `--own`, found as the stages masks and smpl find
-them; faces are learned. Printed: PSNR and LPIPS in the boxes of the hands and of the head, in six new gestures: of the
-avatar with its fingers and face posed, and of the same avatar with both at rest. Boxes hold the true hand and the one at rest;
-those under 64 px are widened for LPIPS. For each, the person is moved so that its joint is where the true one is: a body whose feet
-no frame shows has a size of its own. Then how far fingers that were read are off, wrists put together. A picture of each
-clip shows truth, posed and rigid.
+are the true ones. Masks, poses, and the fingers and face of each frame are true; with `--inputs face` the face is learned; with
+`--inputs own` so it is, and the rest is found as the stages masks and smpl find it. Printed: PSNR and LPIPS in the boxes of the
+hands and of the head, in six new gestures: of the avatar with its fingers and face posed, and of the same avatar with both at
+rest. Boxes hold the true hand and the one at rest; those under 64 px are widened for LPIPS. For each, the person is moved so that
+its joint is where the true one is: a body whose feet no frame shows has a size of its own. Then how far fingers that were read
+are off, wrists put together. A picture of each clip shows truth, posed and rigid.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -40,7 +41,7 @@ from stages.formats.clip import Clip, load_clip
 from stages.formats.facts import Sfm, read_facts
 from stages.formats.hands import hands_in, write_hands
 from stages.formats.images import read_image, write_image
-from stages.formats.poses import read_poses
+from stages.formats.poses import read_poses, write_poses
 from stages.formats.splats import write_splats
 from stages.gestures import HandPoses
 from stages.records import Effects
@@ -59,26 +60,28 @@ Box = tuple[int, int, int, int]
 """Left, top, right and bottom, px."""
 
 
-def inputs(work: Path, kind: str, seed: int, own: bool) -> Path:
+def inputs(work: Path, kind: str, seed: int, given: str) -> Path:
     """The folder with what the stages before `survey` make of the clip; made once."""
-    made, place = work / f"{kind}{seed}", work / f"{kind}{seed}" / ("own" if own else "true")
+    made, place = work / f"{kind}{seed}", work / f"{kind}{seed}" / given
     if not (made / "bike").exists():
         clip, shown, new = make(kind, seed, **SIZE)
         datasets.neuman(made, points=3000, clip=clip, **SIZE)
         shown.write(made / "truth" / "gestures.npz")
         new.write(made / "truth" / "novel" / "gestures.npz")
     if not (place / "smpl" / "body.npz").exists():
-        staged(made, place, own)
-        if not own:
-            give_fingers(place, Gestures.read(made / "truth" / "gestures.npz").hands)
+        staged(made, place, given == "own")
+        if given != "own":
+            true = Gestures.read(made / "truth" / "gestures.npz")
+            give(place, true.hands, true.face if given == "true" else None)
     return place
 
 
-def give_fingers(place: Path, turns: np.ndarray) -> None:
-    """Write hands.npz of the true fingers `turns` [F,2,15,3] rad."""
+def give(place: Path, turns: np.ndarray, face: np.ndarray | None) -> None:
+    """Write hands.npz of the true fingers `turns` [F,2,15,3] rad, and the true `face` [F,52], if any, into body.npz."""
     poses, read = read_poses(place / "smpl" / "body.npz"), np.ones(turns.shape[:2])
     hands = HandPoses(poses.names, turns, np.median(turns, 0), read > 0, 0 * read, read)
     write_hands(place / "smpl" / "hands.npz", hands)
+    write_poses(place / "smpl" / "body.npz", replace(poses, face=face))
 
 
 def boxes(views: Path) -> list[dict[int, Box]]:
@@ -164,13 +167,13 @@ def fingers_off(place: Path) -> dict[str, float | int]:
     return {"read": int(hands.read.sum()), "of": hands.read.size, "off": off[0], "at_rest": off[1]}
 
 
-def rate(work: Path, kind: str, seed: int, own: bool, steps: int, lpips: Lpips) -> dict[str, Any]:
+def rate(work: Path, kind: str, seed: int, given: str, steps: int, lpips: Lpips) -> dict[str, Any]:
     """Make, train and score one clip."""
     began = time.process_time()
-    place = inputs(work, kind, seed, own)
+    place = inputs(work, kind, seed, given)
     clip, staging = load_clip(place / "sfm", place / "smpl"), time.process_time() - began
     large = detect(ClipEvidence(clip, read_facts(place / "sfm" / "sfm.json", Sfm))).called_for
-    fit, row = trained(place, steps, own, False, PARAMS, large)
+    fit, row = trained(place, steps, given == "own", False, PARAMS, large)
     others = [int(i) for i in np.flatnonzero(~clip.training)]
     heldout = heldout_accuracy(fit.cast(), fit.seen(), others, lpips)
     result, avatar, _ = of_one(fit, clip)
@@ -179,7 +182,7 @@ def rate(work: Path, kind: str, seed: int, own: bool, steps: int, lpips: Lpips) 
     scored, picture = novel(place, clip, learned, lpips)
     write_image(place / "novel.png", picture)
     long = places(clip.body_model, clip.body, clip.cameras).lengths
-    row |= {"clip": f"{kind}{seed}", "own": own, "px": float(np.median(long)), "novel": scored, "staging": staging}
+    row |= {"clip": f"{kind}{seed}", "inputs": given, "px": float(np.median(long)), "novel": scored, "staging": staging}
     return row | {
         "heldout": {key: heldout[f"{key}_person"] for key in ("psnr", "lpips")},
         "fingers": fingers_off(place),
@@ -191,14 +194,14 @@ def main() -> None:
     parser.add_argument("work", type=Path)
     parser.add_argument("--half", choices=SEEDS, default="setting")
     parser.add_argument("--only", nargs="+", choices=KINDS, default=list(KINDS))
-    parser.add_argument("--own", action="store_true")
+    parser.add_argument("--inputs", choices=("true", "face", "own"), default="true")
     parser.add_argument("--steps", type=int, default=400)
     parser.add_argument("--json", type=Path)
     args, rows = parser.parse_args(), []
     with np.load(fetch("lpips_alex.npz")) as arrays:
         lpips = Lpips(arrays)
     for kind in args.only:
-        row = rate(args.work, kind, SEEDS[args.half], args.own, args.steps, lpips)
+        row = rate(args.work, kind, SEEDS[args.half], args.inputs, args.steps, lpips)
         rows.append(row)
         parts = [
             f"{part} {way} {row['novel'][part][way]['psnr']:.2f} dB, LPIPS {row['novel'][part][way]['lpips']:.3f}"
@@ -206,7 +209,7 @@ def main() -> None:
             for way in WAYS
         ]
         parts.append(f"held-out person {row['heldout']['psnr']:.2f} dB, LPIPS {row['heldout']['lpips']:.3f}")
-        print(f"{row['clip']:<6} {'own' if args.own else 'true'}  hands {row['px']:.0f} px  {'   '.join(parts)}   "
+        print(f"{row['clip']:<6} {args.inputs:<4}  hands {row['px']:.0f} px  {'   '.join(parts)}   "
               f"fingers {row['fingers']}   {row['cpu_seconds']:.0f} s", flush=True)  # fmt: skip
         if args.json:
             args.json.write_text(json.dumps(rows, indent=1))

@@ -40,6 +40,7 @@ def test_every_command_on_a_clip_passes_all_options_on(monkeypatch, command):
         "cameras",
         "smpl-fit",
         "landmarks",
+        "face",
         "body-model",
         "height",
         "scale",
@@ -48,7 +49,7 @@ def test_every_command_on_a_clip_passes_all_options_on(monkeypatch, command):
         "pipelines-file",
     ]
     CliRunner().invoke(app.app, [command, "clip.mp4", "--seed=7", *(f"--{name}={name}" for name in names)])
-    paths = (Path(name) for name in ("cameras", "smpl-fit", "landmarks", "body-model"))
+    paths = (Path(name) for name in ("cameras", "smpl-fit", "landmarks", "face", "body-model"))
     places = "pipeline", Path("work"), Path("pipelines-file")
     assert opened == [(RunOptions(["set"], Path("masks"), "person", *paths, ["height"], "scale", 7, *places), CLIP)]
 
@@ -87,7 +88,7 @@ def test_the_largest_seeds_can_be_used():
 @pytest.mark.parametrize(
     "name", ["plain", "größe 東 'q\" $x", "b\udcff\udc80ytes", "\udce4/in\udcffside", "\x1b[31m\n"]
 )
-@pytest.mark.parametrize("option", ["masks", "cameras", "smpl_fit", "landmarks", "body_model"])
+@pytest.mark.parametrize("option", ["masks", "cameras", "smpl_fit", "landmarks", "face", "body_model"])
 def test_a_path_of_any_name_is_kept_and_read_back(tmp_path, option, name):
     """Names are bytes on a disk, and may be none of UTF-8."""
     place, given = Workspace(CLIP, tmp_path, "default"), RunOptions(work=tmp_path, **{option: tmp_path / name})
@@ -104,7 +105,7 @@ def test_a_path_of_any_name_is_kept_and_read_back(tmp_path, option, name):
 
 def test_every_path_that_a_run_is_given_is_among_those():
     hints = get_type_hints(options.Kept)
-    paths = {"masks", "cameras", "smpl_fit", "landmarks", "body_model"}
+    paths = {"masks", "cameras", "smpl_fit", "landmarks", "face", "body_model"}
     assert {one for one in hints if "Path" in str(hints[one])} == paths
 
 

@@ -24,6 +24,8 @@ UNIT = "px, the height of the face"
 def detect(evidence: ClipEvidence) -> Finding:
     """The median height of the face in frames in which it looks at the camera."""
     clip, rig = evidence.clip, read_hands_face(evidence.clip.body_model)
+    if clip.body.face is not None:
+        return Finding(None, UNIT, HIGH, "given: `--face`", False, 0.0)
     if rig is None or not len(rig.face_points):
         return unmeasured(UNIT, HIGH, "the body model has no face that moves")
     body, poses = Body(clip.body_model), clip.body

@@ -128,7 +128,7 @@ class _Start:
         options = Options(
             extent=extent,
             refine_pose=on.get("pose_refinement", True),
-            learn_face=on.get("face", False),
+            learn_face=on.get("face", False) and all(body.expressions is None for body in bodies),
             refine_camera=on.get("camera_refinement", False),
             exposure=on.get("exposure", False),
             antialias=on.get("antialias", False),
@@ -181,7 +181,8 @@ class _Start:
         vertices, _ = body(betas, torch.zeros(1, 3), pose[None], torch.zeros(1, 3))
         rig = read_hands_face(model)
         hands = face = None
-        if rig is not None and len(rig.face_points) and self.decisions.get("face", False):
+        moves = fitted.face is not None or self.decisions.get("face", False)
+        if rig is not None and len(rig.face_points) and moves:
             face = FaceSkin(*map(self._tensor, FaceSkin.of(rig, body, betas)))
         if rig is not None and clip.hand_shape is not None:  # the canonical pose leaves arms as they are at rest
             rest, _ = body.rest(betas)
@@ -204,6 +205,7 @@ class _Start:
             faces=torch.as_tensor(np.asarray(model.faces).astype(np.int64), device=self.device),
             hands=hands,
             face=face,
+            expressions=None if fitted.face is None else self._tensor(fitted.face),
         )
 
     def _clothed(self, person: FittedBody, views: Views, seen: Outline | None) -> FittedBody:

@@ -37,7 +37,7 @@ class BodyCorrections(nn.Module):
         pose, row = body.poses.at(frame), torch.tensor(frame, device=body.transl.device)
         if options.refine_pose:
             turns = torch.cat(pose[:2]) + self.pose(row)
-            pose = Poses(turns[:3], turns[3:], pose.transl + self.place(row))
+            pose = Poses(turns[:3], turns[3:], pose.transl + self.place(row), pose.face)
         return pose._replace(face=self.face(row)) if options.learn_face and self.face is not None else pose
 
     @torch.no_grad()
@@ -46,7 +46,8 @@ class BodyCorrections(nn.Module):
         poses = body.poses
         if options.refine_pose:
             turn, place = (spread(table.weight, trained, moments) for table in (self.pose, self.place))
-            poses = Poses(poses.global_orient + turn[:, :3], poses.body_pose + turn[:, 3:], poses.transl + place)
+            turned = poses.global_orient + turn[:, :3], poses.body_pose + turn[:, 3:], poses.transl + place
+            poses = Poses(*turned, poses.face)
         if options.learn_face and self.face is not None:
             poses = poses._replace(face=spread(self.face.weight, trained, moments))
         return poses

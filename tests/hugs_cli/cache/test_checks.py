@@ -65,6 +65,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, count in {"points": 9, "whole_points": FRAMES}.items():
         np.save(room / f"{name}.npy", landmark_files.triples("COCO-17", landmark_files.somebody(count)))
     np.savez(room / "other.npz", colours=np.zeros((4, 3)))
+    (room / "take.csv").write_text("time,jawOpen\n0,0.1\n0.5,0.4\n")
     rows = [{"file_path": f"at_{i}.png", "transform_matrix": np.eye(4).tolist()} for i in every]
     for name, w, h in (("turned", HEIGHT, WIDTH), ("large", 2 * WIDTH, 2 * HEIGHT)):
         (room / f"{name}.json").write_text(json.dumps({"w": w, "h": h, "fl_x": 150.0, "frames": rows}))
@@ -136,6 +137,7 @@ WRONG: dict[str, tuple[tuple[str, ...], dict[str, str], tuple[str, ...], str]] =
     "other arrays for a fit": (("film.mp4",), {"smpl_fit": "other.npz"}, ("other.npz", "transl"), "global_orient"),
     "sound for landmarks": (("film.mp4",), {"landmarks": "song.mp3"}, ("song.mp3", "sound"), "--landmarks"),
     "landmarks of a shorter film": (("film.mp4",), {"landmarks": "points.npy"}, ("points.npy", "9", "12"), "names"),
+    "sound for a face": (("film.mp4",), {"face": "song.mp3"}, ("song.mp3", "face capture"), "jawOpen"),
     "no cameras": (("film.mp4",), {"cameras": "empty"}, ("no cameras", "empty"), "COLMAP"),
     "a picture for cameras": (("film.mp4",), {"cameras": "still.jpg"}, ("still.jpg", "cameras", ".jpg"), "COLMAP"),
     "cameras turned": (("film.mp4",), {"cameras": "turned.json"}, ("128x96", "96x128"), "upright"),
@@ -171,6 +173,7 @@ RIGHT = {
     "a film of masks": {"masks": "film.mp4"},
     "a fit": {"smpl_fit": "fit.npz"},
     "landmarks": {"landmarks": "whole_points.npy"},
+    "a face": {"face": "take.csv"},
     "cameras of other names and size": {"cameras": "large.json"},
     "a body": {"body_model": str(FREE_BODY)},
 }

@@ -13,6 +13,7 @@ from stages.avatar.body.smpl import Body
 from stages.avatar.model.person import Canonical, rest
 from stages.formats.clip import load_clip
 from stages.formats.hands_face import read_hands_face
+from stages.gestures import FACE_NAMES
 from stages.training.beginning.start import Task, build
 from stages.training.settings import Params
 
@@ -43,6 +44,20 @@ def test_a_face_is_learned_where_survey_says_so_and_the_body_has_one(tiny):
     ]
     assert [one.body.face is not None for one in learned] == [True, False, False, False]
     assert [one.corrections.face is not None for one in learned] == [True, False, False, False]
+
+
+def test_a_face_that_is_given_is_drawn_as_it_is_and_none_is_learned(tiny):
+    clip, params = load_clip(tiny["sfm"], tiny["smpl"]), Params(human_points=2000, channels=4, resolution=16)
+    face = np.random.default_rng(0).uniform(0, 1, (len(clip.names), len(FACE_NAMES))).astype(np.float32)
+    clip = replace(clip, body=replace(clip.body, face=face))
+    for decided in ({"face": False}, {"face": True, "pose_refinement": True}):
+        fit = build(Task([clip], params, {"scene": False} | decided), print)
+        (who,) = fit.people
+        assert who.corrections.face is None and not fit.options.learn_face
+        assert np.array_equal(fit.poses(who).face, face)
+        drawn = fit.cast().people[0]
+        off = (drawn.splats(0).means - replace(drawn, mien=None).splats(0).means).norm(dim=1)
+        assert off.max() > 0.005 and (off > 0).sum() < 0.2 * len(off), "the face moves, and nothing else"
 
 
 def test_a_hand_stands_in_each_frame_as_that_frame_shows_its_fingers(tiny):

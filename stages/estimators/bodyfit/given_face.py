@@ -1,0 +1,45 @@
+"""A face capture of the clip, brought by the user: coefficients of its frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from stages.avatar.motion.gestures import faces_at
+from stages.contract import Job, StageError
+from stages.estimators.bodyfit.reporting import Fitted
+from stages.formats.hands_face import read_hands_face
+from stages.formats.motions.face_csv import read_face
+from stages.records import BodyModel
+
+BEYOND = 0.5  # s: frames so far after the last row are counted
+
+
+def check_face(path: Path, model: BodyModel) -> None:
+    """StageError for a file that is no face capture, and for a body without a face that moves."""
+    read_face(path)
+    rig = read_hands_face(model)
+    if rig is None or not len(rig.face_points):
+        raise StageError(
+            f"the body model {model.name} has no face that moves",
+            "leave out `--face`, or `--body-model`: the free body has a face",
+        )
+
+
+def with_face(job: Job, path: Path, fits: Sequence[Fitted], times: np.ndarray) -> list[Fitted]:
+    """The fit of the only person, with the face at `times` [F] s: the film and the capture begin together.
+
+    Also notes what of the file was taken; StageError where there are several people.
+    """
+    if len(fits) > 1:
+        hint = "choose its person with `--person ID`, or leave out `--face`"
+        raise StageError(f"{path.name} is the face of one person, and the masks show {len(fits)}", hint)
+    take, (fit,) = read_face(path), fits
+    job.note("; ".join([f"face: {path.name}", *take.notes]))
+    if late := int((times > take.times[-1] + BEYOND).sum()):
+        ends = f"{path.name} ends at {take.times[-1]:.1f} s, the film's frames at {times[-1]:.1f} s"
+        job.warn(f"{ends}: in {late} of {len(times)} frames the face stays as it was last")
+    return [replace(fit, poses=replace(fit.poses, face=faces_at(times, take.times, take.face)))]
