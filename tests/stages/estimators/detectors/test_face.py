@@ -126,8 +126,9 @@ def test_only_a_large_face_is_looked_at_by_the_network(away, monkeypatch):
 
 def test_a_face_is_not_learned_where_it_is_turned_away_or_the_body_has_none(monkeypatch):
     monkeypatch.setattr(face, "FaceNetwork", None)
-    aside = face.detect(head_on(1.3, 2.0))
-    assert aside.value is None and "fewer than 5" in aside.verdict
+    for turned in (1.2, 2.0):
+        aside = face.detect(head_on(1.3, turned))
+        assert aside.value is None and "fewer than 5" in aside.verdict
     bare = face.detect(head_on(1.3, model=replace(read_body_model(), name="another")))
     assert bare.value is None and "no face" in bare.verdict
 
@@ -198,4 +199,4 @@ def test_the_kitchen_man_whose_mask_hides_his_face_has_none_that_is_learned(kitc
         for i, roi in KITCHEN.items()
     ]
     found = face.detect(replace(evidence, clip=replace(evidence.clip, pictures=tuple(pictures))))
-    assert not found.called_for and found.verdict == "hidden or blurred" and found.value <= 0.2
+    assert not found.called_for and found.verdict == "hidden or blurred" and found.value == 0
