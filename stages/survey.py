@@ -52,7 +52,7 @@ class Params(contract.Params):
     pose_refinement: Effect = "auto"
     """Let training correct the body's poses. auto: when the posed body does not cover the mask."""
     face: Effect = "auto"
-    """How the face moves in each frame. auto: when it is large enough where it looks at the camera."""
+    """How the face moves in each frame. auto: when it is large enough, and not hidden, where it looks at the camera."""
     camera_refinement: Effect = "auto"
     """Let training correct the cameras. auto: when they contradict what is seen in several frames."""
     sky: Effect = "auto"

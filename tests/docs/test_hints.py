@@ -32,7 +32,9 @@ DONE = {
     "hugs doctor": f"{HERE}test_a_run_without_a_gpu_says_what_is_here",
     "hugs gc": f"{HERE}test_results_that_nothing_uses_make_room",
     **dict.fromkeys(["--work X", "hugs run X", "--set frames.folder_fps=30"], PICTURES),
-    **dict.fromkeys([f"hugs run VIDEO {stage} --force" for stage in ("X", "masks", "sfm", "smpl", "train")], AGAIN),
+    **dict.fromkeys(
+        [f"hugs run VIDEO {stage} --force" for stage in ("X", "masks", "sfm", "smpl", "survey", "train")], AGAIN
+    ),
     "hugs run FOLDER frames --force": AGAIN,
     "hugs compose --init RUN RUN": "tests/hugs_cli/test_app_compose.py::test_what_init_writes_runs_as_it_is",
     "hugs accept": "tests/hugs_cli/cache/test_engine.py::test_accept_takes_code_changes_and_nothing_else",

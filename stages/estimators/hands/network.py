@@ -63,9 +63,5 @@ class HandNetwork:
 def around(xy: np.ndarray) -> Roi:
     """The crop that fits a hand with points `xy` [21,2] px, its fingers up."""
     dx, dy = (xy[5] + 2 * xy[9] + xy[13]) / 4 - xy[0]
-    angle = float(np.arctan2(dx, -dy))
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])  # from the crop's axes
-    upright = xy[list(STIFF)] @ turn
-    x, y = (turn @ (upright.max(0) + upright.min(0)) / 2).tolist()
-    size = float(np.ptp(upright, axis=0).max())
-    return Roi(x, y, size, angle).reframe(shift=-FORWARD).reframe(MARGIN)
+    fitting = Roi.fitting(xy[list(STIFF)], float(np.arctan2(dx, -dy)))
+    return fitting.reframe(shift=-FORWARD).reframe(MARGIN)

@@ -49,6 +49,14 @@ class Roi:
         side = 2 * float(np.hypot(dx, dy)) * ROI_MARGIN
         return Roi(float(center[0]), float(center[1]), side, float(np.arctan2(dx, -dy)))
 
+    @staticmethod
+    def fitting(points: np.ndarray, angle: float) -> Roi:
+        """The crop whose up is turned by `angle` rad and that just holds points [N,2] px."""
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])  # from the crop's axes
+        upright = points @ turn
+        x, y = (turn @ (upright.max(0) + upright.min(0)) / 2).tolist()
+        return Roi(x, y, float(np.ptp(upright, axis=0).max()), angle)
+
 
 def crop(image: np.ndarray, roi: Roi, side: int, border: int) -> np.ndarray:
     """Cut a Roi out as [side,side,3], first shrunk by area means so that nothing aliases."""

@@ -1,7 +1,6 @@
 """The detectors on made evidence: each finds what is there, measures how much, and is quiet about the rest."""
 
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
@@ -17,7 +16,6 @@ from stages.estimators.detectors import (
     antialias,
     clothing,
     exposure,
-    face,
     light,
     motion_blur,
     pose_refinement,
@@ -30,9 +28,7 @@ from stages.estimators.detectors.every import DETECTORS
 from stages.estimators.detectors.evidence import ClipEvidence
 from stages.estimators.detectors.pictures import sample
 from stages.formats.body_model import read_body_model
-from stages.formats.clip import Clip
 from stages.formats.facts import Distortion, Sfm
-from stages.records import BodyPoses, Cameras
 from stages.synthetic import person
 from tests.made.datasets import points_of
 from tests.made.synthetic import clip as synthetic
@@ -482,30 +478,3 @@ def test_somebody_who_walks_away_from_a_camera_that_stands_still_changes_size(fa
     found = antialias.detect(SimpleNamespace(clip=clip, bodies=bodies, sampled=list(range(frames))))
     assert found.verdict == verdict and found.value == pytest.approx(farthest / 2, rel=1e-6)
     assert found.frames == ("0", "1", "2")
-
-
-def head_on(away: float, turned: float = 0.0, frames: int = 8, model=None) -> ClipEvidence:
-    """The free body seen from `away` m, its face turned aside by so many rad."""
-    model, still = model or read_body_model(), np.zeros((frames, 3))
-    orient = np.tile(Rotation.from_euler("y", turned).as_rotvec(), (frames, 1))
-    poses = BodyPoses(("a",) * frames, np.zeros(10), orient, np.zeros((frames, 69)), still, np.ones(frames))
-    eye = np.array([0.0, 0.3, away])
-    viewmats = np.tile(look_at(eye, np.array([0.0, 0.3, 0.0]), np.array([0.0, 1.0, 0.0])), (frames, 1, 1))
-    cameras = Cameras(
-        tuple(map(str, range(frames))), viewmats, np.tile(pinhole(800, 480, 864), (frames, 1, 1)), 480, 864
-    )
-    nothing = np.zeros((0, 3))
-    return ClipEvidence(
-        Clip(Path(), cameras, viewmats, nothing, nothing, poses, model), SimpleNamespace(verdict="moving")
-    )
-
-
-def test_a_face_is_learned_where_it_is_large_and_seen_and_the_body_has_one():
-    near, far = (face.detect(head_on(away)) for away in (1.3, 3.7))
-    assert near.called_for and not far.called_for
-    assert near.value == pytest.approx(3.7 / 1.3 * far.value, rel=0.15)
-    assert 0.9 < near.value / (800 * 0.18 / 1.2) < 1.1, "a face is about 18 cm high"
-    aside = face.detect(head_on(1.3, 2.0))
-    assert aside.value is None and "fewer than 5" in aside.verdict
-    bare = face.detect(head_on(1.3, model=replace(read_body_model(), name="another")))
-    assert bare.value is None and "no face" in bare.verdict
