@@ -61,7 +61,7 @@ class BodyPoses:
     """SMPL parameters of F frames: X_world = SMPL(global_orient, body_pose, betas) + transl, in metres.
 
     `betas` [10]; rotation vectors `global_orient` [F,3], `body_pose` [F,69], rad; `transl` [F,3] m; `confidence` [F], 0 (do not
-    train on it) to 1; if known `hands` [F,2,15,3] rad, `face` [F,52]. The world's axes are SfM's, its unit `world_from_sfm` m.
+    train on it) to 1; if known `hands` [F,2,15,3] rad, `face` [F,K]. The world's axes are SfM's, its unit `world_from_sfm` m.
     """
 
     names: tuple[str, ...]
@@ -102,7 +102,7 @@ class BodyModel:
     def sized(self, factor: float) -> BodyModel:
         """The same body `factor` times as large."""
         parts = {name: getattr(self, name) * np.float32(factor) for name in ("v_template", "shapedirs", "posedirs")}
-        return replace(self, **parts)
+        return replace(self, fingers=self.fingers and self.fingers.sized(factor), **parts)
 
     def landmark_regressor(self) -> tuple[tuple[str, ...], np.ndarray]:
         """Names and matrix [K,V]: landmarks = matrix @ vertices, on posed vertices too.
