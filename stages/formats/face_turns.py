@@ -1,4 +1,4 @@
-"""Turns of SMPL-X's jaw and eyes as shapes of FACE_NAMES.
+"""Turns of SMPL-X's jaw and eyes as shapes of FACE_NAMES; a jaw's roll has none, and an eye's.
 
 At coefficient 1 a joint turns as far as the free body's shapes turn its own: of `jawOpen` the 83 points that move most, those of
 the chin, turn by 22.1 degrees about where the jaw hangs, and of `jawLeft` they go 6.3 mm aside, 76 mm before it; the 40 points of
@@ -38,3 +38,13 @@ def turned(points: np.ndarray, joints: np.ndarray, weights: np.ndarray) -> np.nd
         turn = Rotation.from_rotvec(np.radians(degrees) * np.eye(3)[axis]).as_matrix() - np.eye(3)
         shapes[FACE_NAMES.index(name)] = weights[:, joint, None] * ((points - joints[joint]) @ turn.T)
     return shapes
+
+
+def coefficients(turns: np.ndarray) -> tuple[np.ndarray, int]:
+    """Coefficients [F,52], 0 to 1, of turns [F,3,3] rad of jaw, left and right eye, and how many of them were beyond."""
+    face, beyond = np.zeros((len(turns), len(FACE_NAMES))), int((turns[:, JAW, 0] < 0).sum())
+    for name, (joint, axis, degrees) in TURNS.items():
+        share = turns[:, joint, axis] / np.radians(degrees)
+        beyond += int((share > 1).sum())
+        face[:, FACE_NAMES.index(name)] = share.clip(0, 1)
+    return face, beyond

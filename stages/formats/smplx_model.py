@@ -82,8 +82,8 @@ def _face(
     """`face_points` and `face_shapes` of what the head, with weights [V], carries: jaw and eyes with weights [V,3] at joints [3,3],
     and the expressions in `shapedirs` [V,3,N].
     """
-    count = shapedirs.shape[2]
-    begin = EXPRESSIONS[count] if count in EXPRESSIONS else count
+    count = int(shapedirs.shape[2])
+    begin = EXPRESSIONS.get(count, count)
     rows = np.flatnonzero(head > HELD)
     expressions = np.moveaxis(shapedirs[rows, :, begin : begin + TAKEN], 2, 0)
     shapes = np.concatenate([turned(vertices[rows], joints, weights[rows]), expressions])

@@ -56,7 +56,8 @@ class PersonLearner:
         self.body, self.human, self.guard, self.number = one.body, one.human, guard, number
         self.name = f"person {number}"
         self.outline, self.small = one.outline, one.outline and one.outline.half()
-        corrections = BodyCorrections(len(self.body.transl), self.body.own_bones, self.body.face is not None)
+        shapes = 0 if self.body.face is None else len(self.body.face.shapes)
+        corrections = BodyCorrections(len(self.body.transl), self.body.own_bones, shapes)
         self.corrections = corrections.to(self.body.vertices)
         self.canonical_bones = self.body.canonical_bones()
         self.surface, _, self.surface_weights = self.body.surface()
