@@ -274,7 +274,7 @@ class Mesh:
     `vertices` [V,3] m, `normals` [V,3] unit, `faces` [T,3] int32; `uvs` [V,2] are places in `texture` [S,S,3] uint8, as shown on
     a display, from its upper left corner (0, 0) to its lower right one (1, 1). `bones` [V,4] uint8 as a Rig's, the heaviest
     first, those of fingers after all others, `weights` [V,4] uint16, rows adding up to 65535. A vertex on a seam of the texture
-    is there twice. `said`: what was left out, in words. `morphs` [52,V,3] m, where there is a face: how FACE_NAMES move it.
+    is there twice. `said`: what was left out, in words. `morphs` [K,V,3] m, where there is a face: how its shapes move it.
     """
 
     vertices: np.ndarray
