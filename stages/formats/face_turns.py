@@ -17,16 +17,14 @@ TURNS = {
     "jawOpen": (JAW, 0, 22.0),
     "jawLeft": (JAW, 1, 5.0),
     "jawRight": (JAW, 1, -5.0),
-    **{f"eyeLookDown{side}": (eye, 0, 11.0) for side, eye in (("Left", LEFT_EYE), ("Right", RIGHT_EYE))},
-    **{f"eyeLookUp{side}": (eye, 0, -9.0) for side, eye in (("Left", LEFT_EYE), ("Right", RIGHT_EYE))},
-    **{
-        f"eyeLookIn{side}": (eye, 1, full)
-        for side, eye, full in (("Left", LEFT_EYE, -14.0), ("Right", RIGHT_EYE, 14.0))
-    },
-    **{
-        f"eyeLookOut{side}": (eye, 1, full)
-        for side, eye, full in (("Left", LEFT_EYE, 14.0), ("Right", RIGHT_EYE, -14.0))
-    },
+    "eyeLookDownLeft": (LEFT_EYE, 0, 11.0),
+    "eyeLookDownRight": (RIGHT_EYE, 0, 11.0),
+    "eyeLookUpLeft": (LEFT_EYE, 0, -9.0),
+    "eyeLookUpRight": (RIGHT_EYE, 0, -9.0),
+    "eyeLookInLeft": (LEFT_EYE, 1, -14.0),
+    "eyeLookInRight": (RIGHT_EYE, 1, 14.0),
+    "eyeLookOutLeft": (LEFT_EYE, 1, 14.0),
+    "eyeLookOutRight": (RIGHT_EYE, 1, -14.0),
 }
 """Shape -> joint, axis, and degrees at coefficient 1."""
 

@@ -152,7 +152,7 @@ def test_a_face_with_expressions_of_its_body_takes_them_by_name_and_52_numbers_t
     row[53] = -0.8
     for face in ({"expression2": -0.8}, row, np.eye(52)[FACE_NAMES.index("jawOpen")] * -0.8):
         np.testing.assert_allclose(one.pose(POSE, face=face).means, theirs, atol=1e-6)
-    with pytest.raises(ValueError, match="face has the shape .*53"):
+    with pytest.raises(ValueError, match=r"face has the shape .*53"):
         one.pose(POSE, face=np.zeros(53))
 
 
