@@ -47,7 +47,8 @@ class HandsFace:
 
     def sized(self, factor: float) -> HandsFace:
         """Those of the same body `factor` times as large."""
-        return replace(self, face_points=self.face_points * factor, face_shapes=self.face_shapes * factor)
+        points, shapes = (part * np.float32(factor) for part in (self.face_points, self.face_shapes))
+        return replace(self, face_points=points, face_shapes=shapes)
 
 
 @dataclass(frozen=True)

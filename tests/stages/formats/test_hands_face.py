@@ -15,6 +15,7 @@ def test_the_free_body_has_fingers_and_a_face_of_its_size():
     assert np.allclose(rig.finger_regressor.sum(1), 1, atol=1e-5)
     assert (rig.finger_weights.sum(1) <= body.lbs_weights[:, 22:24].sum(1) + 1e-3).all()
     assert np.allclose(large.face_points, 1.5 * rig.face_points, rtol=1e-4)
+    assert rig.sized(np.float64(1.5)).face_shapes.dtype == np.float32 == rig.face_shapes.dtype
 
 
 def test_shapes_have_names_and_those_of_a_body_itself_numbers():
