@@ -148,7 +148,8 @@ class Avatar:
         `body_pose` [69], [23,3], [P,69] or [P,23,3] and `global_orient` [3] or [P,3] are rotation vectors in radians, `transl`
         [3] or [P,3] is in metres. `betas` [10] is one body shape for all poses instead of the avatar's own; the Gaussians follow
         the skin. `hands` [2,15,3] or [P,2,15,3] in radians turn the fingers of FINGER_NAMES; 0 is the hand at rest. `face` has
-        coefficients of the shapes of FACE_NAMES, by name, or as [52] or [P,52]. Without them fingers and face are as in the clip.
+        coefficients of the shapes of FACE_NAMES, by name, or as [52] or [P,52]; on SMPL-X expression1 to expression10 follow
+        these. Without them fingers and face are as in the clip.
         If `body_pose` is a tensor, results are tensors, differentiable in all arguments; else they are arrays. ValueError for
         other shapes and numbers that are not finite; StageError for `betas` of an unknown body, and for `hands` or a `face`
         that this avatar lacks.
@@ -164,7 +165,9 @@ class Avatar:
             given["hands"] = (hands, 90)
         if face is not None:
             self._has("face that moves", self.record.face)
-            given["face"] = (face_vector(face) if isinstance(face, Mapping) else face, len(FACE_NAMES))
+            count = 0 if self.record.face is None else len(self.record.face.moves)
+            part = face_vector(face, count) if isinstance(face, Mapping) else face
+            given["face"] = (part, len(FACE_NAMES) if np.shape(part)[-1:] == (len(FACE_NAMES),) else count)
         parts = {name: self._tensor(name, *part) for name, part in given.items()}
         counts = {name: len(part) for name, part in parts.items() if part.ndim == 2}
         if len(set(counts.values())) > 1:
@@ -181,7 +184,7 @@ class Avatar:
 
     def _has(self, what: str, part: object) -> None:
         if part is None:
-            facts = ["old avatars and those on SMPL have neither fingers nor face, those on SMPL-H and SMPL-X no face"]
+            facts = ["old avatars and those on SMPL have neither fingers nor face, those on SMPL-H no face"]
             raise StageError(f"the avatar {self.name} has no {what}", "train it again, without --body-model", facts)
 
     @cached_property

@@ -19,7 +19,7 @@ class Pose(NamedTuple):
     """A pose of SMPL, or P poses: body_pose [69] or [P,69] and global_orient [3] or [P,3] in rad, transl [3] or [P,3] m.
 
     The fields are the arguments of `Avatar.pose`, in the same order. `betas` is None; `hands` [2,15,3] or [P,2,15,3] rad and
-    `face` [52] or [P,52] are None if the motion has none.
+    `face` [52] or [P,52], with expressions more, are None if the motion has none.
 
         person = avatar.pose(*hugs.Pose(np.zeros(69), np.zeros(3), np.array([0.0, 0.0, 1.0])))
     """
@@ -37,7 +37,7 @@ class Motion:
     """F poses in the world of the avatar, `fps` a second; an index or a slice gives a `Pose`.
 
     body_pose [F,69] and global_orient [F,3] are rotation vectors in rad, transl [F,3] is in m. `seen` bool [F]: the person was
-    seen in this frame. `hands` [F,2,15,3] rad and `face` [F,52] are None if the motion has none.
+    seen in this frame. `hands` [F,2,15,3] rad and `face` [F,52], with expressions more, are None if the motion has none.
 
         person = avatar.pose(*avatar.motions["clip"][12])
     """

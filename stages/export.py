@@ -181,10 +181,10 @@ def _takes(frames: Path, smpl: Path, train: Path, ground: Ground, soles: Soles, 
 def _rigged(job: Job, params: Params, avatar: Avatar, rig: Rig, takes: list[Take], floor: float) -> None:
     """The person on a skeleton with motions: as a textured mesh, and as Gaussians."""
     from stages.avatar.surface.mesh import NoSurfaceError, surface_of
-    from stages.formats.exchange.avatar_glb import write_avatar_glb
+    from stages.formats.exchange.avatar_glb import targets_of, write_avatar_glb
     from stages.formats.exchange.avatar_vrm import write_avatar_vrm
     from stages.formats.exchange.splats_glb import write_splats_glb
-    from stages.gestures import FACE_NAMES, FINGER_NAMES
+    from stages.gestures import FINGER_NAMES
 
     has = f"{params.names} skeleton; motions {', '.join(take.name for take in takes)}"
     glb, fingers = job.out / "avatar.glb", f", {len(FINGER_NAMES)} finger bones" * (rig.fingers is not None)
@@ -195,7 +195,7 @@ def _rigged(job: Job, params: Params, avatar: Avatar, rig: Rig, takes: list[Take
             hint = f"--set 'export.formats=[{', '.join(one for one in params.formats if one not in ('glb', 'vrm'))}]'"
             raise StageError("the person's Gaussians make no mesh", hint, [str(error)]) from error
         size = f"{len(mesh.faces)} triangles, texture {len(mesh.texture)} px{fingers}"
-        size += f", {len(FACE_NAMES)} shapes of the face" * (mesh.morphs is not None)
+        size += f", {len(targets_of(mesh))} shapes of the face" * (mesh.morphs is not None)
         if "glb" in params.formats:
             write_avatar_glb(glb, rig, mesh, takes, params.names, floor)
             job.note(f"avatar.glb: {size}, {glb.stat().st_size / 1e6:.1f} MB; {has}")

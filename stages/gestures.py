@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,19 +26,29 @@ FACE_NAMES = tuple(
 """The 52 shapes of a face, named as face capture does."""
 
 
+def face_names(count: int) -> tuple[str, ...]:
+    """Names of the `count` shapes of a face, at least 52: FACE_NAMES, then expression1, expression2 and so on, a body's own."""
+    return FACE_NAMES + tuple(f"expression{k + 1}" for k in range(count - len(FACE_NAMES)))
+
+
 @dataclass(frozen=True)
 class HandsFace:
-    """What a body of V vertices has beyond SMPL: finger bones, and shapes of a face, of no points (M = 0) in a user's model.
+    """What a body of V vertices has beyond SMPL: finger bones, and K shapes of a face, of no points (M = 0) in SMPL-H.
 
     finger_regressor[40,V] x vertices at rest are the 30 joints of FINGER_NAMES and the 10 tips of those fingers;
     finger_weights[V,30] is what they take of the weights of joints 22 and 23. face_points[M,3] m lie on the head of the mean
-    body at rest, and face_shapes[52,M,3] m are how the shapes of FACE_NAMES move them at coefficient 1; float32.
+    body at rest, and face_shapes[K,M,3] m are how the shapes of `face_names(K)` move them at coefficient 1; float32.
     """
 
     finger_regressor: np.ndarray
     finger_weights: np.ndarray
     face_points: np.ndarray
     face_shapes: np.ndarray
+
+    def sized(self, factor: float) -> HandsFace:
+        """Those of the same body `factor` times as large."""
+        points, shapes = (part * np.float32(factor) for part in (self.face_points, self.face_shapes))
+        return replace(self, face_points=points, face_shapes=shapes)
 
 
 @dataclass(frozen=True)
@@ -58,7 +68,10 @@ class Fingers:
 
 @dataclass(frozen=True)
 class Face:
-    """How an avatar's face moves: the Gaussians `rows` [M] by moves[52,M,3] m at rest for coefficient 1 of each of FACE_NAMES."""
+    """How an avatar's face moves: the Gaussians `rows` [M] by moves[K,M,3] m at rest for coefficient 1 of each of K shapes.
+
+    They are those of `face_names(K)`, at least 52.
+    """
 
     rows: np.ndarray
     moves: np.ndarray
@@ -87,7 +100,7 @@ class Move:
     """A motion in the world of a clip, F poses at `fps` frames a second.
 
     `rotvecs` [F,72] rad, the root's first, and `steps` [F,3] m: global_orient, body_pose and transl of `BodyPoses`. `hands`
-    [F,2,15,3] rad, as FINGER_NAMES, and coefficients `face` [F,52], as FACE_NAMES, where it has some.
+    [F,2,15,3] rad, as FINGER_NAMES, and coefficients `face` [F,K], as `face_names(K)`, where it has some.
     """
 
     name: str

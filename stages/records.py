@@ -61,7 +61,7 @@ class BodyPoses:
     """SMPL parameters of F frames: X_world = SMPL(global_orient, body_pose, betas) + transl, in metres.
 
     `betas` [10]; rotation vectors `global_orient` [F,3], `body_pose` [F,69], rad; `transl` [F,3] m; `confidence` [F], 0 (do not
-    train on it) to 1; if known `hands` [F,2,15,3] rad, `face` [F,52]. The world's axes are SfM's, its unit `world_from_sfm` m.
+    train on it) to 1; if known `hands` [F,2,15,3] rad, `face` [F,K]. The world's axes are SfM's, its unit `world_from_sfm` m.
     """
 
     names: tuple[str, ...]
@@ -102,7 +102,7 @@ class BodyModel:
     def sized(self, factor: float) -> BodyModel:
         """The same body `factor` times as large."""
         parts = {name: getattr(self, name) * np.float32(factor) for name in ("v_template", "shapedirs", "posedirs")}
-        return replace(self, **parts)
+        return replace(self, fingers=self.fingers and self.fingers.sized(factor), **parts)
 
     def landmark_regressor(self) -> tuple[tuple[str, ...], np.ndarray]:
         """Names and matrix [K,V]: landmarks = matrix @ vertices, on posed vertices too.
@@ -274,7 +274,7 @@ class Mesh:
     `vertices` [V,3] m, `normals` [V,3] unit, `faces` [T,3] int32; `uvs` [V,2] are places in `texture` [S,S,3] uint8, as shown on
     a display, from its upper left corner (0, 0) to its lower right one (1, 1). `bones` [V,4] uint8 as a Rig's, the heaviest
     first, those of fingers after all others, `weights` [V,4] uint16, rows adding up to 65535. A vertex on a seam of the texture
-    is there twice. `said`: what was left out, in words. `morphs` [52,V,3] m, where there is a face: how FACE_NAMES move it.
+    is there twice. `said`: what was left out, in words. `morphs` [K,V,3] m, where there is a face: how its shapes move it.
     """
 
     vertices: np.ndarray

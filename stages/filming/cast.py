@@ -150,7 +150,8 @@ def cast(person: Person, name: str, ground: records.Ground, fps: float, device: 
             facts = [f"{person.motion} is played in part: {name} has {' and '.join(lacking)}"]
     elif person.motion != "clip":
         path = Path(person.motion)
-        placed, told = from_file(path, manner, soles, rig.parents.tolist(), model.name if model else "", record.fingers)
+        whose = model.name if model else ""
+        placed, told = from_file(path, manner, soles, rig.parents.tolist(), whose, record.fingers, record.face)
         facts = [f"{path.name}  {'; '.join(told)}"]
     else:
         placed, facts = _own(run, person, manner, soles), []

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from stages.avatar.motion import placing, retarget
-from stages.avatar.motion.gestures import faces_at
 from stages.avatar.motion.hands import FARTHEST, broken, from_smplx
 from stages.avatar.motion.placing import Placed, Soles
 from stages.avatar.motion.retarget import Performance
@@ -20,7 +19,7 @@ from stages.formats.motions import bvh, bvh_names
 from stages.formats.motions.bvh_fingers import map_fingers
 from stages.formats.motions.rates import usual_rate
 from stages.formats.motions.smpl_npz import FILES, read_smpl_motion
-from stages.gestures import Fingers
+from stages.gestures import FACE_NAMES, Face, Fingers
 from stages.records import BodyPoses, Ground
 
 DEFAULT_FPS = 30.0  # of a motion file that does not say
@@ -62,13 +61,14 @@ def from_file(
     parents: Sequence[int],
     body: str = SMPL,
     fingers: Fingers | None = None,
+    face: Face | None = None,
 ) -> tuple[Placed, list[str]]:
     """A .bvh, or SMPL poses, retargeted to the body of `soles`, and facts about it; StageError for what is no motion.
 
-    `body` is its name: poses of SMPL are carried over to the free body, so that limbs point as SMPL's do. `fingers` are the
-    avatar's, which bend as those of the file.
+    `body` is its name: poses of SMPL are carried over to the free body, so that limbs point as SMPL's do. `fingers` and `face`
+    are the avatar's, which move as those of the file.
     """
-    performance, rate, facts = _read(path, manner.motion_fps, soles, parents, body, fingers)
+    performance, rate, facts = _read(path, manner.motion_fps, soles, parents, body, fingers, face)
     seen = placing.which_is_up(performance)
     up = manner.up or seen
     if up is None:
@@ -96,11 +96,7 @@ def from_clip(body: BodyPoses, times: np.ndarray, ground: Ground, manner: Manner
         return None
     check_time(times[rows[-1]] - times[rows[0]], manner.wanted, "the motion of the clip")
     performance = placing.filmed(body, rows, ground, soles)
-    placed = placing.on_floor(retarget.resample_at(performance, times[rows], manner.wanted), manner.wanted, soles)
-    if body.face is None:
-        return placed
-    shown = times[rows[0]] + np.arange(len(placed.transl)) / manner.wanted
-    return placed._replace(face=faces_at(shown, times[rows], body.face[rows]))
+    return placing.on_floor(retarget.resample_at(performance, times[rows], manner.wanted), manner.wanted, soles)
 
 
 def _of_fingers(bones: int, fingers: Fingers | None) -> list[str]:
@@ -110,8 +106,25 @@ def _of_fingers(bones: int, fingers: Fingers | None) -> list[str]:
     return [f"{bones} finger bones"] if bones else []
 
 
+def _of_face(motion: np.ndarray, face: Face | None) -> tuple[np.ndarray | None, list[str]]:
+    """What of the coefficients [F,K] of a motion an avatar's `face` plays, and what is said of them."""
+    own, expressions = 0 if face is None else len(face.moves), motion.shape[1] - len(FACE_NAMES)
+    if not own:
+        return None, ["jaw, eyes and expressions left out: this avatar has no face that moves"]
+    said = [f"{min(expressions, own - len(FACE_NAMES))} expressions"] if own > len(FACE_NAMES) and expressions else []
+    if motion.shape[1] > own:
+        said.append(f"{motion.shape[1] - own} expressions left out: this avatar lacks them")
+    return motion[:, :own], ["jaw and eyes", *said]
+
+
 def _read(
-    path: Path, fps: float | None, soles: Soles, parents: Sequence[int], body: str, fingers: Fingers | None
+    path: Path,
+    fps: float | None,
+    soles: Soles,
+    parents: Sequence[int],
+    body: str,
+    fingers: Fingers | None,
+    face: Face | None,
 ) -> tuple[Performance, float, list[str]]:
     """The motion for SMPL's joints, its frames a second (`fps`, if given), and facts about the file in words."""
     own_fps: float | None
@@ -143,6 +156,9 @@ def _read(
             notes += _of_fingers(smpl.hands[0].size // 3, fingers)
             if fingers is not None:
                 performance = performance._replace(hands=from_smplx(smpl.hands, fingers))
+        if smpl.face is not None:
+            played, said = _of_face(smpl.face, face)
+            performance, notes = performance._replace(face=played), [*notes, *said]
         length, own_fps = len(smpl), smpl.fps
     else:
         raise StageError(

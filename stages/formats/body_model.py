@@ -10,6 +10,7 @@ import numpy as np
 
 from stages.contract import StageError
 from stages.formats.arrays import as_array, checked, npz_names, read_npz, take
+from stages.formats.gestures import check_shapes
 from stages.formats.smplx_model import FIRST, as_smpl
 from stages.formats.tool_pickles import read_named
 from stages.gestures import FACE_NAMES, FINGER_NAMES, HandsFace
@@ -26,7 +27,8 @@ HINT = (
 _OTHER_NAMES = {"f": "faces", "weights": "lbs_weights"}
 _KEYS = (
     *("v_template", "f", "faces", "shapedirs", "posedirs", "J_regressor", "kintree_table", "weights", "lbs_weights"),
-    *("keypoint_regressor", "keypoint_names", "finger_regressor", "finger_weights", "name"),
+    *("keypoint_regressor", "keypoint_names", "name"),
+    *("finger_regressor", "finger_weights", "face_points", "face_shapes"),
 )
 """All that is read of an .npz: SMPL-X files hold pickled names too."""
 _HAND = 16  # joints of a MANO model
@@ -52,7 +54,7 @@ def write_body_model(path: Path, model: BodyModel) -> None:
     if model.keypoint_regressor is not None:
         extra = {"keypoint_regressor": model.keypoint_regressor, "keypoint_names": np.array(model.keypoint_names)}
     if model.fingers is not None:
-        extra |= {name: getattr(model.fingers, name) for name in ("finger_regressor", "finger_weights")}
+        extra |= vars(model.fingers)
     parents = model.parents.astype(np.int64) % 2**32
     np.savez_compressed(
         path,
@@ -114,18 +116,21 @@ def _from_arrays(arrays: Mapping[str, Any], path: Path, name: str) -> BodyModel:
         parents=_parents(arrays, path),
         keypoint_regressor=get("keypoint_regressor", None, count).astype(np.float32) if has_keypoints else None,
         keypoint_names=tuple(map(str, take(arrays, "keypoint_names", path, HINT))) if has_keypoints else None,
-        fingers=_fingers(get, count) if "finger_weights" in arrays else None,
+        fingers=_fingers(get, count, "face_points" in arrays, path) if "finger_weights" in arrays else None,
         name=name,
     )
 
 
-def _fingers(get: Callable[..., np.ndarray], count: int) -> HandsFace:
-    """Finger bones of a model of `count` vertices, and a face of no points: its expressions are none of FACE_NAMES."""
+def _fingers(get: Callable[..., np.ndarray], count: int, faced: bool, path: Path) -> HandsFace:
+    """Finger bones of a model of `count` vertices, and its face, of no points where it is not `faced`."""
+    points = get("face_points", None, 3) if faced else np.zeros((0, 3))
+    shapes = get("face_shapes", None, len(points), 3) if faced else np.zeros((len(FACE_NAMES), 0, 3))
+    check_shapes(len(shapes), "face_shapes", path, HINT)
     return HandsFace(
         finger_regressor=get("finger_regressor", len(FINGER_NAMES) + 10, count).astype(np.float32),
         finger_weights=get("finger_weights", count, len(FINGER_NAMES)).astype(np.float32),
-        face_points=np.zeros((0, 3), np.float32),
-        face_shapes=np.zeros((len(FACE_NAMES), 0, 3), np.float32),
+        face_points=points.astype(np.float32),
+        face_shapes=shapes.astype(np.float32),
     )
 
 

@@ -1,8 +1,12 @@
-"""The optional arrays `fingers_...` and `face_...` of avatar.npz; of a face only what moves is stored."""
+"""The optional arrays `fingers_...` and `face_...` of avatar.npz; of a face only what moves is stored.
+
+`face_count` is there where a face has more shapes than FACE_NAMES.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +16,8 @@ from stages.formats.arrays import checked, take
 from stages.gestures import FACE_NAMES, FINGER_NAMES, Face, Fingers
 from stages.records import Avatar
 
+MOST = 1000
+"""Shapes of a face: with more, an array is none."""
 LEAST = 2e-4
 """m: a shape that moves a Gaussian less is taken not to move it."""
 
@@ -28,6 +34,8 @@ def gesture_arrays(avatar: Avatar) -> dict[str, np.ndarray]:
         at = np.flatnonzero(np.linalg.norm(moves, axis=1) > LEAST)
         arrays |= {"face_rows": np.asarray(avatar.face.rows, np.int32)}
         arrays |= {"face_at": at.astype(np.int32), "face_moves": moves[at].astype(np.float16)}
+        if len(avatar.face.moves) > len(FACE_NAMES):
+            arrays |= {"face_count": np.array(len(avatar.face.moves))}
     return arrays
 
 
@@ -56,8 +64,19 @@ def gestures_of(arrays: Mapping[str, Any], count: int, name: str, hint: str) -> 
         fingers = Fingers(joints, tips, one("fingers_shape", 2, 15, 3), held, shares)
     if "face_rows" in arrays:
         held = rows("face_rows", None, count)
-        moves = np.zeros((len(FACE_NAMES) * len(held), 3), np.float16)
+        shapes = len(FACE_NAMES)
+        if "face_count" in arrays:
+            shapes = check_shapes(int(one("face_count")), "face_count", name, hint)
+        moves = np.zeros((shapes * len(held), 3), np.float16)
         at = rows("face_at", None, len(moves))
         moves[at] = one("face_moves", len(at), 3)
-        face = Face(held, moves.reshape(len(FACE_NAMES), len(held), 3))
+        face = Face(held, moves.reshape(shapes, len(held), 3))
     return fingers, face
+
+
+def check_shapes(count: int, key: str, path: Path | str, hint: str) -> int:
+    """The `count` of shapes of a face that the array `key` has; StageError where it has fewer than FACE_NAMES, or too many."""
+    if not len(FACE_NAMES) <= count <= MOST:
+        facts = [f"it is of {count} shapes of a face, wanted are {len(FACE_NAMES)} to {MOST}"]
+        raise StageError(f"{key} in {path} has the wrong shape", hint, facts)
+    return count

@@ -15,7 +15,7 @@ HANDS_FACE = Path(__file__).parent.parent / "estimators" / "hands_face.npz"
 
 
 def read_hands_face(body: BodyModel) -> HandsFace | None:
-    """Fingers and face of a `body`: of the free body both, of SMPL-H and SMPL-X fingers; None for SMPL, which has neither."""
+    """Fingers and face of a `body`: SMPL-H has no points of a face; None for SMPL, which has neither."""
     if body.name != FREE:
         return body.fingers
     arrays, count = read_npz(HANDS_FACE), len(body.v_template)
@@ -23,9 +23,5 @@ def read_hands_face(body: BodyModel) -> HandsFace | None:
     weights[arrays["hand_vertices"]] = arrays["finger_weights"]
     own = read_npz(FREE_BODY, only=["v_template"])["v_template"]
     size = np.ptp(body.v_template[:, 1]) / np.ptp(own[:, 1])  # see `BodyModel.sized`
-    return HandsFace(
-        finger_regressor=arrays["finger_regressor"],
-        finger_weights=weights,
-        face_points=arrays["face_points"] * size,
-        face_shapes=arrays["face_shapes"].astype(np.float32) * size,
-    )
+    shapes = arrays["face_shapes"].astype(np.float32)
+    return HandsFace(arrays["finger_regressor"], weights, arrays["face_points"], shapes).sized(size)

@@ -10,7 +10,7 @@ import numpy as np
 from stages.contract import StageError
 from stages.formats.arrays import checked, read_npz, take, write_npz
 from stages.formats.body_model import SMPL
-from stages.gestures import FACE_NAMES
+from stages.formats.gestures import check_shapes
 from stages.records import BodyPoses
 
 HINT = "body.npz needs names [F], betas [10], global_orient [F,3], body_pose [F,69], transl [F,3], world_from_sfm"
@@ -64,12 +64,15 @@ def poses_from_arrays(arrays: Mapping[str, np.ndarray], path: Path) -> BodyPoses
             f"names in {path} are not one for each frame", HINT, [f"more than once: {', '.join(twice[:5])}"]
         )
 
-    def get(key: str, *shape: int) -> np.ndarray:
+    def get(key: str, *shape: int | None) -> np.ndarray:
         return checked(take(arrays, key, path, HINT), shape, key, path, HINT).astype(np.float64)
 
     scale = float(get("world_from_sfm"))
     if not scale > 0:
         raise StageError(f"world_from_sfm in {path} is not a positive scale", HINT, [f"it is {scale}"])
+    face = get("face", count, None) if "face" in arrays else None
+    if face is not None:
+        check_shapes(face.shape[1], "face", path, HINT)
     return BodyPoses(
         names=names,
         betas=get("betas", 10),
@@ -78,5 +81,5 @@ def poses_from_arrays(arrays: Mapping[str, np.ndarray], path: Path) -> BodyPoses
         transl=get("transl", count, 3),
         confidence=get("confidence", count) if "confidence" in arrays else np.ones(count),
         world_from_sfm=scale,
-        face=get("face", count, len(FACE_NAMES)) if "face" in arrays else None,
+        face=face,
     )

@@ -5,8 +5,8 @@
 | SMPL-H | 52     | 15 of each hand                      |
 | SMPL-X | 55     | jaw, both eyes, then 15 of each hand |
 
-Where SMPL has a joint for the hand, the middle finger begins. Jaw and eyes turn with the head; expressions are left out, since
-none is one of FACE_NAMES, and so are the pose correctives of all joints but the body's.
+Where SMPL has a joint for the hand, the middle finger begins. Jaw and eyes turn with the head, and are shapes of the face, see
+`face_turns`; after FACE_NAMES come the first ten expressions. Pose correctives of all joints but the body's are left out.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 
 from stages.contract import StageError
 from stages.formats.arrays import checked, take
+from stages.formats.face_turns import turned
 from stages.gestures import FINGER_NAMES
 from stages.records import JOINT_NAMES, JOINTS
 
@@ -27,12 +28,16 @@ FIRST = {52: 22, 55: 25}
 BODY, HEAD = JOINTS - 2, JOINT_NAMES.index("head")
 WRISTS = JOINT_NAMES.index("left_wrist"), JOINT_NAMES.index("right_wrist")
 MIDDLE = [FINGER_NAMES.index(f"{side}_middle1") for side in ("left", "right")]
+EXPRESSIONS, TAKEN = {20: 10, 400: 300}, 10
+"""Columns of SMPL-X's `shapedirs` -> where its expressions begin, and how many are taken."""
+MOVED, HELD = 5e-4, 0.5  # m that a shape moves a point of the face, and the weight of that on the head, at least
 TIP, OWN = 8, 0.5  # vertices of a fingertip, and their least weight on its last bone
 
 
 def as_smpl(arrays: Mapping[str, Any], path: Path, hint: str) -> dict[str, Any]:
-    """The arrays of an SMPL-H or SMPL-X model as those of SMPL, with `finger_regressor` [40,V] and `finger_weights` [V,30] of
-    `gestures.HandsFace`; StageError with key and shape, for fingers that hang elsewhere, or that move no skin."""
+    """The arrays of an SMPL-H or SMPL-X model as those of SMPL, with the arrays of `gestures.HandsFace`, of SMPL-H without a face;
+    StageError with key and shape, for fingers that hang elsewhere, or that move no skin.
+    """
 
     def get(key: str, *shape: int | None) -> np.ndarray:
         return checked(take(arrays, key, path, hint), shape, key, path, hint)
@@ -55,6 +60,10 @@ def as_smpl(arrays: Mapping[str, Any], path: Path, hint: str) -> dict[str, Any]:
     points = regressor[first:last] @ vertices
     tips = np.stack([_tip(vertices, fingers, points, bone, path, hint) for bone in bones[2::3]])
     hands = fingers.reshape(count, 2, -1).sum(2, dtype=np.float64)
+    face = {}
+    if first > BODY:
+        shapedirs, own = get("shapedirs", count, 3, None), slice(BODY, first)
+        face = _face(vertices, body[:, HEAD], weights[:, own], regressor[own] @ vertices, shapedirs)
     return {
         **arrays,
         "J_regressor": np.concatenate([regressor[:BODY], regressor[first:last][MIDDLE]]),
@@ -63,7 +72,23 @@ def as_smpl(arrays: Mapping[str, Any], path: Path, hint: str) -> dict[str, Any]:
         "kintree_table": np.stack([np.append(parents[:BODY], WRISTS), np.arange(JOINTS)]),
         "finger_regressor": np.concatenate([regressor[first:last], tips]),
         "finger_weights": fingers,
+        **face,
     }
+
+
+def _face(
+    vertices: np.ndarray, head: np.ndarray, weights: np.ndarray, joints: np.ndarray, shapedirs: np.ndarray
+) -> dict[str, np.ndarray]:
+    """`face_points` and `face_shapes` of what the head, with weights [V], carries: jaw and eyes with weights [V,3] at joints [3,3],
+    and the expressions in `shapedirs` [V,3,N].
+    """
+    count = int(shapedirs.shape[2])
+    begin = EXPRESSIONS.get(count, count)
+    rows = np.flatnonzero(head > HELD)
+    expressions = np.moveaxis(shapedirs[rows, :, begin : begin + TAKEN], 2, 0)
+    shapes = np.concatenate([turned(vertices[rows], joints, weights[rows]), expressions])
+    moved = np.linalg.norm(shapes, axis=2).max(0) > MOVED
+    return {"face_points": vertices[rows[moved]], "face_shapes": shapes[:, moved]}
 
 
 def _tip(vertices: np.ndarray, fingers: np.ndarray, points: np.ndarray, bone: int, path: Path, hint: str) -> np.ndarray:

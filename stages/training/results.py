@@ -176,9 +176,7 @@ def _with_gestures(avatar: Avatar, clip: Clip, say: Finishing) -> Avatar:
         )
         return avatar
     if not len(rig.face_points):
-        say.note(
-            f"no face that moves: the body model {clip.body_model.name} has no shapes named as face capture names them"
-        )
+        say.note(f"no face that moves: the body model {clip.body_model.name} has none")
     try:
         return attach(avatar, clip.body_model, rig, clip.hand_shape)
     except UNFINISHED as error:

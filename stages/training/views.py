@@ -62,7 +62,7 @@ def halved(pictures: Tensor) -> Tensor:
 
 
 class Poses(NamedTuple):
-    """global_orient [...,3] and body_pose [...,69] rad, transl [...,3] m; coefficients `face` [...,52], None: it stays still."""
+    """global_orient [...,3] and body_pose [...,69] rad, transl [...,3] m; coefficients `face` [...,K], None: it stays still."""
 
     global_orient: Tensor
     body_pose: Tensor
@@ -95,8 +95,8 @@ class FittedBody(NamedTuple):
     global_orient[F,3], body_pose[F,69], transl[F,3], confidence[F] from 0 (no fit worth learning from) to 1, joints[24,3]
     at rest, parents, canonical_pose[69], template vertices[V,3] at the canonical pose with weights[V,J], faces[T,3],
     J: the bones of skeleton and clothes. `clothing`: the bones of clothes, or None; `cloth`: their Gaussians at the canonical
-    pose. `antialias`: how to draw. `hands`: fingers, where the clip shows them. `face`: where it is learned, or
-    given, with coefficients `expressions` [F,52] where these are known.
+    pose. `antialias`: how to draw. `hands`: fingers, where the clip shows them. `face`: where it is learned in each frame, or given,
+    with coefficients `expressions` [F,K] where these are known.
     """
 
     global_orient: Tensor

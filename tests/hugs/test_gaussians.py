@@ -142,6 +142,20 @@ def test_hands_and_a_face_are_arrays_or_names(avatar):
     assert all(part.grad is not None and part.grad.abs().max() > 0 for part in taught)
 
 
+def test_a_face_with_expressions_of_its_body_takes_them_by_name_and_52_numbers_too(avatar):
+    own = avatar.record.face
+    moves = np.concatenate([own.moves, 0 * own.moves[:1], own.moves[[FACE_NAMES.index("jawOpen")]]])
+    record = replace(avatar.record, face=replace(own, moves=moves))
+    one = replace(avatar, record=record, baked=load_avatar(record))
+    theirs = one.pose(POSE, face={"jawOpen": -0.8}).means
+    row = np.zeros(54)
+    row[53] = -0.8
+    for face in ({"expression2": -0.8}, row, np.eye(52)[FACE_NAMES.index("jawOpen")] * -0.8):
+        np.testing.assert_allclose(one.pose(POSE, face=face).means, theirs, atol=1e-6)
+    with pytest.raises(ValueError, match=r"face has the shape .*53"):
+        one.pose(POSE, face=np.zeros(53))
+
+
 def test_an_avatar_without_fingers_is_refused(avatar):
     bare = replace(avatar, record=replace(avatar.record, fingers=None, face=None))
     for given in ({"hands": np.zeros((2, 15, 3))}, {"face": {"jawOpen": 1}}):

@@ -25,6 +25,8 @@ from stages.gestures import FACE_NAMES
 from stages.records import Avatar, BodyModel, Mesh
 from tests.made.tiny import make_avatar
 
+EYE = np.array([0.031, 0.664, 0.143])
+"""m: the left eye of the free body."""
 FEW = [(0, 6, 0), (50, 3, 0.5), (-50, 3, 0)]
 """Rings of few cameras."""
 
@@ -42,7 +44,7 @@ def body_mesh(model: BodyModel, side: int = 8) -> Mesh:
 
 
 def handed_mesh(model: BodyModel) -> tuple[Mesh, np.ndarray]:
-    """The free body's mesh on finger bones, with the jaw's shape alone, of 40 vertices; and all its weights [V,54]."""
+    """The free body's mesh on finger bones, with the jaw's shape, of 40 vertices, and the eyes', of 9; all its weights [V,54]."""
     rig = read_hands_face(model)
     assert rig is not None
     weights = np.concatenate([model.lbs_weights, rig.finger_weights], 1).astype(float)
@@ -50,7 +52,17 @@ def handed_mesh(model: BodyModel) -> tuple[Mesh, np.ndarray]:
     bones, words, _ = heaviest(weights.clip(0), 4, WORDS)
     morphs = np.zeros((52, len(weights), 3), np.float32)
     morphs[FACE_NAMES.index("jawOpen"), :40] = [0, -0.03, 0.01]
-    return replace(body_mesh(model), bones=bones, weights=words, morphs=morphs), weights
+    mesh = body_mesh(model)
+    for side, across in (("Left", 1), ("Right", -1)):
+        eye = np.linalg.norm(mesh.vertices - EYE * [across, 1, 1], axis=1).argsort()[:9]
+        for way, move in (
+            ("Up", [0, 3, 0]),
+            ("Down", [0, -3, 0]),
+            ("In", [-4 * across, 0, 0]),
+            ("Out", [4 * across, 0, 0]),
+        ):
+            morphs[FACE_NAMES.index(f"eyeLook{way}{side}"), eye] = np.array(move) * 1e-3
+    return replace(mesh, bones=bones, weights=words, morphs=morphs), weights
 
 
 def handed_avatar(model: BodyModel) -> Avatar:

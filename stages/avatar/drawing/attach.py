@@ -76,7 +76,7 @@ class HandSkin(NamedTuple):
 
 
 class FaceSkin(NamedTuple):
-    """The face of a body at rest: points [P,3] m, and how the shapes of FACE_NAMES move them at coefficient 1, [52,P,3] m."""
+    """The face of a body at rest: points [P,3] m, and how each of K shapes moves them at coefficient 1, [K,P,3] m."""
 
     points: Tensor
     shapes: Tensor

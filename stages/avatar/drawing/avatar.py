@@ -61,7 +61,7 @@ def turned_fingers(joints: Tensor, shape: Tensor, hands: Tensor, bones: Tensor) 
 
 
 class Mien(NamedTuple):
-    """A face as `gestures.Face` holds it, as tensors: Gaussians `rows` [M] and their `moves` [52,3M] m."""
+    """A face as `gestures.Face` holds it, as tensors: Gaussians `rows` [M] and their `moves` [K,3M] m."""
 
     rows: Tensor
     moves: Tensor
@@ -73,8 +73,9 @@ class Mien(NamedTuple):
         return cls(torch.as_tensor(face.rows).long().to(device), moves.to(device))
 
     def moved(self, means: Tensor, coefficients: Tensor) -> Tensor:
-        """All Gaussians' means [N,3] m at rest with `coefficients` [52]; differentiable in both."""
-        return means.index_add(0, self.rows, (coefficients @ self.moves).unflatten(-1, (-1, 3)))
+        """All Gaussians' means [N,3] m at rest with `coefficients` of the first shapes, of all others 0; differentiable in both."""
+        far = coefficients @ self.moves[: coefficients.shape[-1]]
+        return means.index_add(0, self.rows, far.unflatten(-1, (-1, 3)))
 
 
 class Baked(NamedTuple):
@@ -157,13 +158,13 @@ def rested(avatar: Baked, resting: Resting) -> Baked:
 
 
 def posed_by(avatar: Baked, bones: Tensor, transl: Tensor, face: Tensor | None = None) -> Splats:
-    """The avatar in the world where `bones`[J,4,4], see `bones_of`, and `transl`[3] m take it, with coefficients `face` [52]."""
+    """The avatar in the world where `bones`[J,4,4], see `bones_of`, and `transl`[3] m take it, with the coefficients `face`."""
     resting = avatar.resting if face is None else mimed(avatar, face)
     return pose(resting, bones, transl, avatar.few, avatar.stretch)._replace(antialias=avatar.antialias)
 
 
 def mimed(avatar: Baked, face: Tensor) -> Resting:
-    """The Gaussians at rest with coefficients `face` [52]; ValueError where the avatar has no face."""
+    """The Gaussians at rest with coefficients `face` of the first of its shapes; ValueError where the avatar has no face."""
     if avatar.face is None:
         raise ValueError("the avatar has no face that moves")
     return avatar.resting._replace(means=avatar.face.moved(avatar.resting.means, face))
@@ -202,7 +203,7 @@ def _bones_of(avatar: Baked, global_orient: Tensor, body_pose: Tensor) -> Tensor
 class PosedAvatar:
     """A `Performer` of P poses, one a frame: global_orient[P,3], body_pose[P,69] axis-angle, transl[P,3] m, on the avatar's device.
 
-    Of a `gloved` avatar `hands` [P,2,15,3] rad, of one with a face coefficients `face` [P,52]; without them both stay as they lie.
+    Of a `gloved` avatar `hands` [P,2,15,3] rad, of one with a face coefficients `face` [P,K]; without them both stay as they lie.
     Frames in which the fit trusts its pose are `known` bool[P]; those that show the person are `shows`, None: all.
     """
 
@@ -220,7 +221,7 @@ class PosedAvatar:
         cls, avatar: Baked, *pose: ArrayLike, hands: np.ndarray | None = None, face: np.ndarray | None = None
     ) -> PosedAvatar:
         """An avatar in the poses [P,3], [P,69] and [P,3], or in one, of [3], [69] and [3]; with `hands` [P,2,15,3] and `face`
-        [P,52], if it has fingers and a face.
+        [P,K], if it has fingers and a face.
         """
         parts = (torch.as_tensor(part).to(avatar.joints) for part in pose)
         made = cls(avatar, *(torch.atleast_2d(part) for part in parts))

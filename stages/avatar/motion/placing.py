@@ -37,7 +37,7 @@ class Placed(NamedTuple):
     """A motion for a body of known shape: y up, floor at y = 0, the first frame over the origin and facing +z.
 
     global_orient [F,3] and body_pose [F,69] rad, transl [F,3] m; `drift` m: the range of the floor's heights
-    in the motion itself. `hands` [F,2,15,3] rad and `face` [F,52], where it has some.
+    in the motion itself. `hands` [F,2,15,3] rad and `face` [F,K], where it has some.
     """
 
     global_orient: np.ndarray
@@ -132,7 +132,7 @@ def on_floor(motion: Performance, fps: float, soles: Soles) -> Placed:
     floor = grey_opening(lowest, size=1 + 2 * int(FLIGHT * fps / 2), mode="nearest")
     transl[:, 1] -= floor
     hands = None if motion.hands is None else rotvecs_of(motion.hands)
-    return Placed(orient, pose, transl, float(np.ptp(floor)), hands)
+    return Placed(orient, pose, transl, float(np.ptp(floor)), hands, motion.face)
 
 
 def seen_in_order(body: records.BodyPoses, times: np.ndarray) -> np.ndarray:
@@ -150,7 +150,8 @@ def filmed(body: records.BodyPoses, rows: np.ndarray, ground: records.Ground, so
     _, joints = soles.at(body.global_orient[rows], body.body_pose[rows], body.transl[rows])
     rotations[:, 0] = back.as_matrix() @ rotations[:, 0]
     hands = None if body.hands is None else matrices(body.hands[rows])
-    return Performance(rotations, back.apply(joints[:, HIPS].mean(1) - ground.point), leg_of(soles.joints), hands)
+    face = None if body.face is None else body.face[rows]
+    return Performance(rotations, back.apply(joints[:, HIPS].mean(1) - ground.point), leg_of(soles.joints), hands, face)
 
 
 def put(

@@ -67,13 +67,14 @@ class Performance(NamedTuple):
     """What SMPL's joints do: local rotations [F,24,3,3], root first, and the middle of the hips [F,3].
 
     Both in the source's axes; `leg` is the source's length of hip to knee to ankle, in the unit of `hips`. `hands`
-    [F,2,15,3,3], as in `hands`, where the source has fingers.
+    [F,2,15,3,3], as in `hands`, and coefficients `face` [F,K], where the source has them.
     """
 
     rotations: np.ndarray
     hips: np.ndarray
     leg: float
     hands: np.ndarray | None = None
+    face: np.ndarray | None = None
 
 
 def from_skeleton(
@@ -180,9 +181,12 @@ def resample_at(motion: Performance, times: np.ndarray, wanted: float) -> Perfor
         rows = [Slerp(times, Rotation.from_matrix(one))(new).as_matrix() for one in np.moveaxis(rotations, 1, 0)]
         return np.stack(rows, 1)
 
-    hips = np.stack([np.interp(new, times, axis) for axis in motion.hips.T], 1)
+    def between(values: np.ndarray) -> np.ndarray:
+        return np.stack([np.interp(new, times, axis) for axis in values.T], 1)
+
+    face = None if motion.face is None else between(motion.face)
     hands = None if motion.hands is None else turned(motion.hands.reshape(-1, 30, 3, 3)).reshape(-1, 2, 15, 3, 3)
-    return Performance(turned(motion.rotations), hips, motion.leg, hands)
+    return Performance(turned(motion.rotations), between(motion.hips), motion.leg, hands, face)
 
 
 def turn_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -127,7 +127,7 @@ def _skin(share: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _morphs(face: Mien, near: Tensor, rows: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """How the shapes move vertices [52,V,3] m: as the Gaussians `rows` [V,k] around them, of those that are `near` [N]."""
+    """How the shapes move vertices [K,V,3] m: as the Gaussians `rows` [V,k] around them, of those that are `near` [N]."""
     moves = torch.zeros(len(face.moves), len(near), 3)
     moves[:, face.rows] = face.moves.unflatten(1, (-1, 3))
     ours = moves[:, near].numpy()

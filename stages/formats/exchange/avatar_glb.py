@@ -16,7 +16,7 @@ import numpy as np
 from stages.formats.exchange.bone_names import Names
 from stages.formats.exchange.glb import TRIANGLES, VERTICES, Arrays, write_glb
 from stages.formats.exchange.skeleton import Skeleton, skeleton_of
-from stages.gestures import FACE_NAMES
+from stages.gestures import face_names
 from stages.records import Mesh, Rig, Take
 
 JPEG = [cv2.IMWRITE_JPEG_QUALITY, 92, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
@@ -30,7 +30,8 @@ def write_avatar_glb(
     """Write the avatar; the same avatar makes the same bytes. The floor of the T-pose is at the height `floor` m of the rig."""
     arrays, content, skeleton = Arrays(), start("avatar"), skeleton_of(rig, names)
     stand = {"name": "stand", "translation": [0.0, -floor, 0.0]}
-    first = add_figure(content, arrays, "body", skeleton, surface(content, mesh, arrays), stand)
+    primitive = surface(content, mesh, arrays)
+    first = add_figure(content, arrays, "body", skeleton, primitive, stand, list(targets_of(mesh)))
     add_motions(content, arrays, skeleton, takes, first)
     write_glb(path, content, arrays)
 
@@ -49,8 +50,12 @@ def add_figure(
     skeleton: Skeleton,
     primitive: dict[str, Any],
     stand: dict[str, Any],
+    shapes: Sequence[str] = (),
 ) -> int:
-    """Add a skinned `primitive` as the mesh `name`, its skeleton below the node `stand`; returns the node of the first joint."""
+    """Add a skinned `primitive` as the mesh `name`, its skeleton below the node `stand`; returns the node of the first joint.
+
+    `shapes` are the names of its targets.
+    """
     nodes, begin = content["nodes"], len(content["nodes"])
     first = begin + 2
     nodes += [
@@ -62,8 +67,8 @@ def add_figure(
     binds = arrays.add(skeleton.inverse_binds())
     content["skins"].append({"inverseBindMatrices": binds, "skeleton": first, "joints": joints})
     content["meshes"].append({"name": name, "primitives": [primitive]})
-    if "targets" in primitive:
-        content["meshes"][-1] |= {"weights": [0.0] * len(FACE_NAMES), "extras": {"targetNames": list(FACE_NAMES)}}
+    if shapes:
+        content["meshes"][-1] |= {"weights": [0.0] * len(shapes), "extras": {"targetNames": list(shapes)}}
     content["scenes"][0]["nodes"] += [begin, begin + 1]
     return first
 
@@ -94,7 +99,14 @@ def surface(content: dict[str, Any], mesh: Mesh, arrays: Arrays) -> dict[str, An
     look = {"baseColorTexture": {"index": number}, "metallicFactor": 0, "roughnessFactor": 1}
     content["materials"].append({"name": "person", "pbrMetallicRoughness": look})
     primitive = {"attributes": attributes, "indices": indices, "material": number}
+    moved = targets_of(mesh).values()
+    targets = [{"POSITION": arrays.add_few(shape, np.linalg.norm(shape, axis=1) > MOVED)} for shape in moved]
+    return primitive | {"targets": targets} if targets else primitive
+
+
+def targets_of(mesh: Mesh) -> dict[str, np.ndarray]:
+    """The shapes of a mesh's face by name, in their order, as they move its vertices [V,3] m; without those that move none."""
     if mesh.morphs is None:
-        return primitive
-    targets = [{"POSITION": arrays.add_few(shape, np.linalg.norm(shape, axis=1) > MOVED)} for shape in mesh.morphs]
-    return primitive | {"targets": targets}
+        return {}
+    named = zip(face_names(len(mesh.morphs)), mesh.morphs, strict=True)
+    return {name: shape for name, shape in named if np.linalg.norm(shape, axis=1).max() > MOVED}

@@ -9,15 +9,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from stages.formats.exchange.avatar_glb import add_figure, start, surface
+import numpy as np
+
+from stages.formats.exchange.avatar_glb import add_figure, start, surface, targets_of
 from stages.formats.exchange.bone_names import Names, bone_names, finger_names
 from stages.formats.exchange.glb import Arrays, write_glb
-from stages.formats.exchange.skeleton import skeleton_of
+from stages.formats.exchange.skeleton import Skeleton, skeleton_of
 from stages.formats.exchange.vrm_meta import VrmMeta
-from stages.gestures import FACE_NAMES
-from stages.records import Mesh, Rig
+from stages.formats.face_turns import TURNS
+from stages.records import JOINT_NAMES, Mesh, Rig
 
-VRM = "VRMC_vrm"
+VRM, HEAD = "VRMC_vrm", JOINT_NAMES.index("head")
 PRESETS = {  # of VRM: of which shapes of the face each consists, and how much
     "aa": {"jawOpen": 0.6},
     "ih": {"jawOpen": 0.2, "mouthStretchLeft": 0.5, "mouthStretchRight": 0.5},
@@ -37,34 +39,64 @@ PRESETS = {  # of VRM: of which shapes of the face each consists, and how much
     "sad": {"mouthFrownLeft": 0.8, "mouthFrownRight": 0.8, "browInnerUp": 0.7},
     "angry": {"browDownLeft": 0.9, "browDownRight": 0.9, "noseSneerLeft": 0.4, "noseSneerRight": 0.4},
     "surprised": {"browInnerUp": 0.8, "browOuterUpLeft": 0.8, "browOuterUpRight": 0.8, "jawOpen": 0.3},
+    "lookUp": {"eyeLookUpLeft": 1.0, "eyeLookUpRight": 1.0},
+    "lookDown": {"eyeLookDownLeft": 1.0, "eyeLookDownRight": 1.0},
+    "lookLeft": {"eyeLookOutLeft": 1.0, "eyeLookInRight": 1.0},
+    "lookRight": {"eyeLookInLeft": 1.0, "eyeLookOutRight": 1.0},
     "relaxed": {"mouthSmileLeft": 0.3, "mouthSmileRight": 0.3, "eyeBlinkLeft": 0.25, "eyeBlinkRight": 0.25},
 }
+RANGES = {
+    "HorizontalInner": "eyeLookIn",
+    "HorizontalOuter": "eyeLookOut",
+    "VerticalDown": "eyeLookDown",
+    "VerticalUp": "eyeLookUp",
+}
+"""Of VRM's ways to look: the shape of each eye that is full where the eye turns as far as it goes."""
 
 
 def write_avatar_vrm(path: Path, rig: Rig, mesh: Mesh, meta: VrmMeta, names: Names = "vrm", floor: float = 0.0) -> None:
     """Write the avatar; the same avatar makes the same bytes. The floor of the T-pose is at the height `floor` m of the rig."""
     arrays, content = Arrays(), start("avatar")
     stand = {"name": "stand", "translation": [0.0, -floor, 0.0]}
-    first = add_figure(content, arrays, "body", skeleton_of(rig, names), surface(content, mesh, arrays), stand)
+    skeleton, primitive, targets = skeleton_of(rig, names), surface(content, mesh, arrays), targets_of(mesh)
+    first = add_figure(content, arrays, "body", skeleton, primitive, stand, list(targets))
     bones = {bone: {"node": first + joint} for joint, bone in enumerate(bone_names("vrm"))}
     if rig.finger_joints is not None:
         fingers = first + len(rig.joints) + (0 if rig.clothes is None else len(rig.clothes))
         bones |= {bone: {"node": fingers + k} for k, bone in enumerate(finger_names("vrm"))}
-    about = {"specVersion": "1.0", "meta": meta.as_written(), "humanoid": {"humanBones": bones}}
-    if mesh.morphs is not None:
-        about["expressions"] = expressions(first - 2)
+    about: dict[str, Any] = {"specVersion": "1.0", "meta": meta.as_written(), "humanoid": {"humanBones": bones}}
+    if targets:
+        about["expressions"] = expressions(first - 2, list(targets))
+        if all(f"{look}{side}" in targets for look in RANGES.values() for side in ("Left", "Right")):
+            about["lookAt"] = look_at(mesh, targets, skeleton)
     write_glb(path, content | {"extensionsUsed": [VRM], "extensions": {VRM: about}}, arrays)
 
 
-def expressions(node: int) -> dict[str, Any]:
-    """VRM's expressions by the morph targets of the mesh at `node`: its presets, and each shape by its name, for face tracking."""
+def expressions(node: int, targets: list[str]) -> dict[str, Any]:
+    """VRM's expressions by the morph `targets` of the mesh at `node`: presets, of the shapes among them, and each by its name."""
 
     def bound(shapes: dict[str, float]) -> dict[str, Any]:
-        return {
-            "morphTargetBinds": [
-                {"node": node, "index": FACE_NAMES.index(name), "weight": weight} for name, weight in shapes.items()
-            ]
-        }
+        binds = [
+            {"node": node, "index": targets.index(name), "weight": weight}
+            for name, weight in shapes.items()
+            if name in targets
+        ]
+        return {"morphTargetBinds": binds}
 
     presets = {name: bound(shapes) for name, shapes in PRESETS.items()}
-    return {"preset": presets, "custom": {name: bound({name: 1.0}) for name in FACE_NAMES}}
+    return {
+        "preset": {name: one for name, one in presets.items() if one["morphTargetBinds"]},
+        "custom": {name: bound({name: 1.0}) for name in targets},
+    }
+
+
+def look_at(mesh: Mesh, targets: dict[str, np.ndarray], skeleton: Skeleton) -> dict[str, Any]:
+    """How eyes follow a point: by the expressions lookUp and so on, seen from between the eyes, which move by `targets`."""
+    shares = [np.linalg.norm(targets[f"eyeLookIn{side}"], axis=1) for side in ("Left", "Right")]
+    eyes = np.mean([share @ mesh.vertices / share.sum() for share in shares], axis=0)
+    ranges = {
+        f"rangeMap{way}": {"inputMaxValue": abs(TURNS[f"{look}Left"][2]), "outputScale": 1.0}
+        for way, look in RANGES.items()
+    }
+    offset = skeleton.turns[HEAD].T @ (eyes - skeleton.places[HEAD])
+    return {"type": "expression", "offsetFromHeadBone": offset.tolist(), **ranges}

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from stages.formats.exchange.avatar_glb import add_figure, start, surface
+from stages.formats.exchange.avatar_glb import add_figure, start, surface, targets_of
 from stages.formats.exchange.glb import Arrays, write_glb
 from stages.formats.exchange.skeleton import skeleton_of
 from stages.formats.exchange.splats_glb import SPLATS, points
@@ -27,7 +27,8 @@ def write_film_glb(path: Path, figures: Sequence[tuple[str, Rig, Mesh, Take, Sta
     for name, rig, mesh, take, (place, quat, scale) in figures:
         stand = {"name": name, "translation": place, "rotation": quat, "scale": [scale] * 3}
         skeleton = skeleton_of(rig)
-        first = add_figure(content, arrays, f"{name} body", skeleton, surface(content, mesh, arrays), stand)
+        primitive = surface(content, mesh, arrays)
+        first = add_figure(content, arrays, f"{name} body", skeleton, primitive, stand, list(targets_of(mesh)))
         moves = skeleton.animation(take, arrays, first)
         channels += [channel | {"sampler": channel["sampler"] + len(samplers)} for channel in moves["channels"]]
         samplers += moves["samplers"]

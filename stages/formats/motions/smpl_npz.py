@@ -10,6 +10,9 @@
 | AIST++           | smpl_poses [F,72], smpl_trans, smpl_scaling; 60 frames a second                       | trans/scaling |
 | others           | poses [F,66] or [F,72], or global_orient, body_pose [F,69]; trans or transl; maybe fps | yes           |
 
+SMPL-X's jaw and eyes are columns 66 to 75 of 165, or pose_jaw (jaw_pose) [F,3], pose_eye [F,6] or leye_pose and reye_pose; beside
+them stands expression or expressions [F,E].
+
 Sources: https://amass.is.tue.mpg.de, https://github.com/davrempe/humor, https://github.com/vye16/slahmr,
 https://github.com/zju3dv/GVHMR, https://google.github.io/aistplusplus_dataset. None says which way is up: AMASS and HuMoR have
 z up, AIST++ and GVHMR y, fits in a camera's frame -y.
@@ -27,8 +30,10 @@ from stages.contract import StageError
 from stages.formats.arrays import as_array, check_radians, checked, npz_names, read_npz, take
 from stages.formats.body_model import SMPL
 from stages.formats.budget import check_count
+from stages.formats.face_turns import coefficients
 from stages.formats.motions.rates import usual_rate
 from stages.formats.poses import whose
+from stages.formats.smplx_model import TAKEN
 from stages.formats.tool_pickles import read_tool_file
 
 HINT = (
@@ -42,9 +47,12 @@ STEPS = ("trans", "transl", "smpl_trans", "trans_world")
 WHOLE = ("poses", "smpl_poses", "pose_world")
 ROOT, REST = ("global_orient", "root_orient"), ("body_pose", "pose_body")
 WIDTHS = (72, 66, 156, 165)
-FINGERS, WITH_FINGERS = 90, (156, 165)
+FINGERS, WITH_FINGERS, WITH_FACE = 90, (156, 165), 165
 WHOLE_HANDS, ONE_HAND = "pose_hand", ("left_hand_pose", "right_hand_pose")
-_MOTION = (*STEPS, *WHOLE, *ROOT, *REST, WHOLE_HANDS, *ONE_HAND, "smpl_scaling")
+FACE = {"pose_jaw": (0, 3), "jaw_pose": (0, 3), "pose_eye": (3, 9), "leye_pose": (3, 6), "reye_pose": (6, 9)}
+"""Keys of jaw and eyes -> which of their nine angles they hold: jaw, left eye, right eye."""
+EXPRESSIONS = ("expression", "expressions")
+_MOTION = (*STEPS, *WHOLE, *ROOT, *REST, WHOLE_HANDS, *ONE_HAND, *FACE, *EXPRESSIONS, "smpl_scaling")
 KEYS = (*_MOTION, *RATES, "body", "world_from_sfm")
 """All that is read: SMPL-X files of AMASS hold pickles too."""
 FILES = (".npz", ".pkl", ".pt")
@@ -56,6 +64,7 @@ class SmplMotion:
 
     `fps` frames a second, None where the file does not say. `notes` say what was left out. `body`: whose poses they are, as
     `formats.poses.whose` says. `hands` [F,2,15,3] rad are SMPL-H's or SMPL-X's fingers, 0 where they are flat, None without.
+    `face` [F,K]: coefficients of SMPL-X's jaw and eyes, as FACE_NAMES, then of its first expressions; None where they stay at rest.
     """
 
     rotvecs: np.ndarray
@@ -64,6 +73,7 @@ class SmplMotion:
     notes: tuple[str, ...] = ()
     body: str = SMPL
     hands: np.ndarray | None = None
+    face: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.transl)
@@ -81,11 +91,12 @@ def read_smpl_motion(path: Path) -> SmplMotion:
     if aist:
         transl = transl / _positive(arrays, "smpl_scaling", path)
     poses, hands, more = _poses(arrays, len(transl), path)
+    face, said = _face(arrays, len(transl), path)
     rate = _first(RATES, arrays)
     if rate:
         _positive(arrays, rate, path)
     fps = usual_rate(str(arrays[rate].reshape(-1)[0])) if rate else AIST_FPS if aist else None
-    return SmplMotion(poses, transl, fps, (*notes, *more), whose(arrays, path), hands)
+    return SmplMotion(poses, transl, fps, (*notes, *more, *said), whose(arrays, path), hands, face)
 
 
 def _first(keys: Iterable[str], arrays: Mapping[str, np.ndarray]) -> str | None:
@@ -138,7 +149,7 @@ def _poses(
     hands = poses[:, -FINGERS:].reshape(count, 2, 15, 3) if width in WITH_FINGERS else _hands(arrays, count, path)
     if hands is not None:
         check_radians(hands.reshape(count, 30, 3), f"fingers of {key}", path)
-    notes = ["jaw and eyes left out"] if width == 165 else []
+    notes = []
     if hands is None and any(key in arrays for key in ONE_HAND):
         notes.append("fingers left out: they are no rotations of 15 bones a hand")
     elif hands is None and width == 66:
@@ -153,6 +164,32 @@ def _hands(arrays: Mapping[str, np.ndarray], count: int, path: Path) -> np.ndarr
             parts = [_flat(arrays, key, count, (width,), path) for key in keys]
             return np.concatenate(parts, 1).reshape(count, 2, 15, 3)
     return None
+
+
+def _face(arrays: Mapping[str, np.ndarray], count: int, path: Path) -> tuple[np.ndarray | None, list[str]]:
+    """Coefficients [F,K] of jaw, eyes and expressions, None where all are 0, and what of them was left out or held."""
+    notes: list[str] = []
+    turns, whole = np.zeros((count, 9)), arrays.get(_first(WHOLE, arrays) or "")
+    if whole is not None and whole.size == count * WITH_FACE:
+        turns = whole.reshape(count, -1)[:, 3 * BODY : -FINGERS].astype(np.float64)
+    else:
+        for key in (key for key in FACE if key in arrays):
+            first, last = FACE[key]
+            if arrays[key].size == count * (last - first):
+                turns[:, first:last] = _flat(arrays, key, count, (last - first,), path)
+            else:
+                notes.append(f"{key} left out: it is no turn a frame")
+    check_radians(turns.reshape(count, 3, 3), "jaw and eyes", path)
+    face, beyond = coefficients(turns.reshape(count, 3, 3))
+    if beyond:
+        notes.append(f"{beyond} turns of jaw and eyes beyond those of a face are held there")
+    if told := _first(EXPRESSIONS, arrays):
+        if arrays[told].ndim == 2 and len(arrays[told]) == count:
+            own = checked(arrays[told], (count, None), told, path, HINT)[:, :TAKEN]
+            face = np.concatenate([face, own.astype(np.float64)], 1)
+        else:
+            notes.append(f"{told} left out: it is no row a frame")
+    return (face if face.any() else None), notes
 
 
 def _flat(arrays: Mapping[str, np.ndarray], key: str, count: int, widths: tuple[int, ...], path: Path) -> np.ndarray:

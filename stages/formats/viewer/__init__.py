@@ -18,7 +18,7 @@ from stages.formats.images import evenly, shrink
 from stages.formats.viewer.libraries import licences, packed
 from stages.formats.viewer.packing import Packer, slopes_in_words
 from stages.formats.viewer.staging import background, covered, seen, underfoot
-from stages.gestures import FINGER_NAMES, Face, Move
+from stages.gestures import FACE_NAMES, FINGER_NAMES, Face, Move
 from stages.records import Cameras, Effects, Rig, Scene
 
 ROOM = Path(__file__).parent / "page"
@@ -179,8 +179,10 @@ def _roots(weights: np.ndarray) -> np.ndarray:
 
 
 def _sliders(shown: Exhibit) -> dict[str, str]:
-    """SLIDERS, if anybody has a face, and a fist, if anybody has fingers."""
-    found = SLIDERS if any(figure.face is not None for figure in shown.figures) else {}
+    """SLIDERS that move anybody's face, and a fist, if anybody has fingers."""
+    faces = [figure.face.moves for figure in shown.figures if figure.face is not None]
+    moving = {name for moves in faces for name, shape in zip(FACE_NAMES, moves, strict=False) if np.any(shape)}
+    found = {name: shapes for name, shapes in SLIDERS.items() if moving & set(shapes.split())}
     return found | ({"Fist": "fist"} if any(figure.rig.fingers is not None for figure in shown.figures) else {})
 
 

@@ -56,8 +56,9 @@ class PersonLearner:
         self.body, self.human, self.guard, self.number = one.body, one.human, guard, number
         self.name = f"person {number}"
         self.outline, self.small = one.outline, one.outline and one.outline.half()
-        learns_face = self.body.face is not None and self.body.expressions is None
-        corrections = BodyCorrections(len(self.body.transl), self.body.own_bones, learns_face)
+        learned = None if self.body.expressions is not None else self.body.face
+        shapes = 0 if learned is None else len(learned.shapes)
+        corrections = BodyCorrections(len(self.body.transl), self.body.own_bones, shapes)
         self.corrections = corrections.to(self.body.vertices)
         self.canonical_bones = self.body.canonical_bones()
         self.surface, _, self.surface_weights = self.body.surface()

@@ -14,21 +14,22 @@ from stages.training.views import FittedBody, Poses
 
 SWING, JERK = 0.01, 0.03  # weights of the priors on the swing of clothes
 MOVED, CHANGED = 5e-5, 1e-4  # likewise of faces: of a shape, and of the square of its change
+OWN = 2.0  # standard deviations of an expression of the body, at most
 
 
 class BodyCorrections(nn.Module):
     """Corrections of a body in F frames, 0 at first: pose [F,72] rad (added to the axis-angles), place [F,3] m.
 
-    With `bones` of clothes, also of their swing [F,6 bones]; with a `face` its coefficients [F,52], 0 to 1. Rows have sparse
+    With `bones` of clothes, also of their swing [F,6 bones]; with shapes of a `face` their coefficients [F,face]. Rows have sparse
     gradients, so that a frame moves only when it is seen.
     """
 
-    def __init__(self, frames: int, bones: int = 0, face: bool = False):
+    def __init__(self, frames: int, bones: int = 0, face: int = 0):
         super().__init__()
         self.pose = nn.Embedding(frames, 72, sparse=True)
         self.place = nn.Embedding(frames, 3, sparse=True)
         self.swing = nn.Embedding(frames, 6 * bones, sparse=True) if bones else None
-        self.face = nn.Embedding(frames, len(FACE_NAMES), sparse=True) if face else None
+        self.face = nn.Embedding(frames, face, sparse=True) if face else None
         for weight in self.parameters():
             nn.init.zeros_(weight)
 
@@ -76,19 +77,21 @@ class BodyCorrections(nn.Module):
         return SWING * rows.square().mean() + JERK * gap.square().mean()
 
     def _face_prior(self, frame: int, train: list[int]) -> Tensor | float:
-        """MOVED x the sum of a frame's coefficients, and CHANGED x that of the squares of their difference from the frames of
-        `train` beside it: a face moves by few shapes, and smoothly. 0 without a face.
+        """MOVED x the sum of how large a frame's coefficients are, and CHANGED x that of the squares of their difference from the
+        frames of `train` beside it: a face moves by few shapes, and smoothly. 0 without a face.
         """
         if self.face is None:
             return 0.0
         row, gap = self._beside(self.face, frame, train)
-        return MOVED * row.sum() + CHANGED * gap.square().sum()
+        named, own = row[:, : len(FACE_NAMES)], row[:, len(FACE_NAMES) :]
+        return MOVED * (named.sum() + own.abs().sum()) + CHANGED * gap.square().sum()
 
     @torch.no_grad()
     def clamp_face(self) -> None:
-        """Keep coefficients within 0 and 1, as face capture has them."""
+        """Keep coefficients of FACE_NAMES within 0 and 1, as face capture has them, and a body's own expressions within OWN."""
         if self.face is not None:
-            self.face.weight.clamp_(0, 1)
+            self.face.weight[:, : len(FACE_NAMES)].clamp_(0, 1)
+            self.face.weight[:, len(FACE_NAMES) :].clamp_(-OWN, OWN)
 
     @staticmethod
     def _beside(table: nn.Embedding, frame: int, train: list[int]) -> tuple[Tensor, Tensor]:

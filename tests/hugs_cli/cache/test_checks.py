@@ -137,7 +137,7 @@ WRONG: dict[str, tuple[tuple[str, ...], dict[str, str], tuple[str, ...], str]] =
     "other arrays for a fit": (("film.mp4",), {"smpl_fit": "other.npz"}, ("other.npz", "transl"), "global_orient"),
     "sound for landmarks": (("film.mp4",), {"landmarks": "song.mp3"}, ("song.mp3", "sound"), "--landmarks"),
     "landmarks of a shorter film": (("film.mp4",), {"landmarks": "points.npy"}, ("points.npy", "9", "12"), "names"),
-    "sound for a face": (("film.mp4",), {"face": "song.mp3"}, ("song.mp3", "face capture"), "jawOpen"),
+    "sound for a face": (("film.mp4",), {"face": "song.mp3"}, ("song.mp3", "CSV"), "jawOpen"),
     "no cameras": (("film.mp4",), {"cameras": "empty"}, ("no cameras", "empty"), "COLMAP"),
     "a picture for cameras": (("film.mp4",), {"cameras": "still.jpg"}, ("still.jpg", "cameras", ".jpg"), "COLMAP"),
     "cameras turned": (("film.mp4",), {"cameras": "turned.json"}, ("128x96", "96x128"), "upright"),

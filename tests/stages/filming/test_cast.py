@@ -186,6 +186,19 @@ def test_fingers_and_a_face_move_as_made_or_captured(tiny, tmp_path):
     assert opened[0] < 1e-3 < 0.005 < opened[1] and any("take.csv" in fact for fact in actor.facts)
 
 
+def test_a_jaw_of_an_smplx_motion_opens_the_avatars_mouth(tiny, tmp_path):
+    body = read_body_model()
+    record = attach(read_avatar(tiny["train"] / "avatar.npz"), body, read_hands_face(body))
+    write_splats(tmp_path / "avatar.npz", record)
+    poses = np.zeros((40, 165))
+    poses[20:, 66] = np.radians(22)
+    np.savez(tmp_path / "m.npz", poses=poses, trans=np.zeros((40, 3)), fps=FPS, expression=np.ones((40, 10)))
+    actor = cast(Person(avatar=tmp_path / "avatar.npz", motion=str(tmp_path / "m.npz")), "a", SLOPE, FPS, "cpu")
+    jaw = record.face.rows[np.abs(record.face.moves[JAW]).max(1) > 0.01]
+    way = (actor.splats(30).means - actor.splats(5).means)[jaw]
+    assert way.norm(dim=1).max() > 0.005 and holds(actor.facts[0], "jaw and eyes", "10 expressions left out")
+
+
 def test_an_avatar_without_a_face_counts_to_five_and_the_lack_is_named(tiny, tmp_path):
     body = read_body_model()
     record = attach(read_avatar(tiny["train"] / "avatar.npz"), body, read_hands_face(body))

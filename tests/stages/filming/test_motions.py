@@ -5,10 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.body.smpl_rest import smpl_rest
 from stages.avatar.drawing.attach import attach
+from stages.avatar.drawing.avatar import load_avatar, mimed
 from stages.avatar.motion.moves import by_formula
 from stages.avatar.motion.placing import Soles
 from stages.avatar.motion.takes import SECONDS
@@ -17,6 +19,7 @@ from stages.estimators.bodyfit.resting import posed_joints
 from stages.filming.motions import Manner, from_clip, from_file
 from stages.formats.body_model import read_body_model
 from stages.formats.hands_face import read_hands_face
+from stages.gestures import Face, face_names
 from tests.made import bvh as bvh_made
 from tests.made.said import holds
 from tests.made.tiny import EMPTY, FRAMES, make_avatar, make_ground, make_poses
@@ -134,6 +137,49 @@ def test_files_of_each_format_move_a_finger(soles, fingers, tmp_path, layout):
     bare, facts = from_file(path, Manner(30.0), soles, MODEL.parents.tolist(), MODEL.name)
     assert bare.hands is None and any("fingers left out" in fact for fact in facts)
     np.testing.assert_array_equal(bare.body_pose, placed.body_pose)
+
+
+def test_jaw_and_eyes_of_a_motion_move_any_face_and_expressions_those_that_have_them(soles, tmp_path):
+    poses, expression = np.zeros((3, 165)), np.zeros((3, 10))
+    poses[2, 66], poses[2, 70], expression[2, 1] = np.radians(22), np.radians(14), 3.0
+    path = tmp_path / "m.npz"
+    np.savez(path, poses=poses, expression=expression, trans=np.zeros((3, 3)), fps=15.0)
+    found = {}
+    for shapes in (0, 52, 54, 62):
+        face = Face(np.zeros(1, int), np.zeros((shapes, 1, 3))) if shapes else None
+        placed, facts = from_file(path, Manner(30.0), soles, MODEL.parents.tolist(), MODEL.name, face=face)
+        found[shapes] = "; ".join(facts)
+        if shapes:
+            assert placed.face.shape == (5, shapes)
+            shown = {
+                face_names(shapes)[k]: placed.face[:, k].round(6).tolist() for k in placed.face.any(0).nonzero()[0]
+            }
+            assert shown == {"jawOpen": [0, 0, 0, 0.5, 1], "eyeLookOutLeft": [0, 0, 0, 0.5, 1]} | (
+                {"expression2": [0, 0, 0, 1.5, 3]} if shapes > 52 else {}
+            )
+        else:
+            assert placed.face is None
+    assert holds(found[0], "jaw, eyes and expressions left out") and holds(found[52], "10 expressions left out")
+    assert holds(found[54], "2 expressions", "8 expressions left out")
+    assert holds(found[62], "jaw and eyes", "10 expressions") and "expressions left out" not in found[62]
+
+
+@pytest.mark.slow
+def test_a_chin_goes_down_and_gazes_go_where_smplx_turns_them(soles, tmp_path):
+    """On the free body a jaw that turns about +x opens and about +y goes to the left; a left eye about +y looks left."""
+    record = attach(make_avatar(MODEL, every=1), MODEL, read_hands_face(MODEL))
+    poses = np.zeros((5, 165))
+    for frame, (column, degrees) in enumerate(((66, 20), (67, 5), (70, 14), (69, 11)), start=1):
+        poses[frame, column] = np.radians(degrees)
+    np.savez(tmp_path / "m.npz", poses=poses, trans=np.zeros((5, 3)), fps=30.0)
+    placed, _ = from_file(tmp_path / "m.npz", Manner(30.0), soles, MODEL.parents.tolist(), MODEL.name, face=record.face)
+    avatar = load_avatar(record)
+    rest = avatar.resting.means
+    jaw, aside, left, down = (mimed(avatar, row).means - rest for row in torch.as_tensor(placed.face[1:]).float())
+    chin = (rest[:, 1] < 0.58) & (rest[:, 2] > 0.13) & (rest[:, 1] > 0.53)
+    eye = ((rest - torch.tensor([0.031, 0.664, 0.143])).norm(dim=1) < 0.012) & (left.norm(dim=1) > 1e-3)
+    assert chin.sum() > 5 and jaw[chin].mean(0)[1] < -0.01 and aside[chin].mean(0)[0] > 0.002
+    assert eye.sum() > 2 and left[eye].mean(0)[0] > 1e-3 and down[eye].mean(0)[1] < -5e-4
 
 
 @pytest.mark.parametrize("time", ["0.033333", "0.0333", "0.03333333", "0.033"])

@@ -1,4 +1,4 @@
-"""A user's SMPL-H or SMPL-X file: 24 joints bend as its own do, fingers come along, and what is wrong is named."""
+"""A user's SMPL-H or SMPL-X file: 24 joints bend as its own do, fingers and a face come along, and what is wrong is named."""
 
 import pickle
 
@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 import torch
 
+from stages.avatar.body.face import face_vector
 from stages.avatar.body.fingers import bent_skin, finger_joints
 from stages.avatar.body.smpl import Body
 from stages.avatar.drawing.attach import attach
 from stages.avatar.drawing.avatar import PosedAvatar, load_avatar
 from stages.contract import StageError
 from stages.formats.body_model import read_body_model, write_body_model
+from stages.formats.face_turns import TURNS
 from stages.formats.hands_face import read_hands_face
 from stages.formats.splats import read_avatar, write_splats
-from stages.gestures import FINGER_NAMES
+from stages.gestures import FINGER_NAMES, face_names
 from tests.made.smplx import LEFT_INDEX, made_smplx, posed
 from tests.made.tiny import make_avatar
 
@@ -69,6 +71,46 @@ def test_a_bent_finger_moves_what_it_moves_in_the_file(made):
     assert moved[own].max() > 0.04 and moved[~own].max() < 1e-6 and own.sum() > 50
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("shapes", [20, 400])
+def test_a_face_moves_as_the_files_own_jaw_eyes_and_expressions_do(shapes, tmp_path):
+    arrays = made_smplx(shapes=shapes)
+    np.savez(tmp_path / "new.npz", **arrays)
+    rig = read_hands_face(read_body_model(tmp_path / "new.npz"))
+    names, rest = face_names(len(rig.face_shapes)), arrays["v_template"]
+    rows = np.linalg.norm(rest - rig.face_points[:, None], axis=2).argmin(1)
+    assert names[52:] == tuple(f"expression{k}" for k in range(1, 11)) and 500 < len(rows) < 2000
+    ways = {"jawOpen": (0, -1, -1), "jawLeft": (1, 0, 0), "jawRight": (-1, 0, 0)}
+    for side, out in (("Left", 1), ("Right", -1)):
+        for way, toward in (("Up", (0, 1, 0)), ("Down", (0, -1, 0)), ("In", (-out, 0, 0)), ("Out", (out, 0, 0))):
+            ways[f"eyeLook{way}{side}"] = toward
+    for name, (joint, axis, degrees) in TURNS.items():
+        turns, own = np.zeros((55, 3)), 22 if "jaw" in name else 23 if "Left" in name else 24
+        turns[own, axis] = 1
+        theirs = (posed(arrays, np.zeros(10), np.radians(degrees) * turns, 0) - rest)[rows]
+        shape = rig.face_shapes[names.index(name)]
+        assert np.abs(shape - theirs).max() < 1e-6, name
+        far = np.linalg.norm(theirs, axis=1)
+        front = theirs[np.where(far > far.max() / 2, rest[rows, 2], 0).argsort()[-10:]].mean(0)
+        assert (front * ways[name]).max() > 5e-4 and (front * ways[name]).min() >= 0, f"{name}: {front} m"
+        assert 22 + joint == own
+    begin = {20: 10, 400: 300}[shapes]
+    np.testing.assert_allclose(
+        rig.face_shapes[52:], np.moveaxis(arrays["shapedirs"][rows, :, begin : begin + 10], 2, 0)
+    )
+    still = [k for k, name in enumerate(names[:52]) if name not in TURNS]
+    assert not rig.face_shapes[still].any() and rig.face_shapes[52:].any((1, 2)).all()
+
+
+@pytest.mark.slow
+def test_smplx_without_expressions_has_jaw_and_eyes_alone_and_smplh_no_face(made, tmp_path):
+    kind, arrays, model = made
+    np.savez(tmp_path / "few.npz", **arrays | {"shapedirs": arrays["shapedirs"][..., :16]})
+    rig = read_hands_face(read_body_model(tmp_path / "few.npz"))
+    assert len(rig.face_shapes) == 52 and (len(rig.face_points) > 100) == (kind == "SMPL-X")
+    assert len(model.fingers.face_shapes) == (62 if kind == "SMPL-X" else 52)
+
+
 def test_tips_lie_beyond_the_last_joints_and_hands_on_hand_joints(made):
     *_, model = made
     joints, tips = finger_joints(read_hands_face(model), torch.as_tensor(model.v_template))
@@ -79,14 +121,16 @@ def test_tips_lie_beyond_the_last_joints_and_hands_on_hand_joints(made):
 
 
 @pytest.mark.slow
-def test_an_avatar_of_it_has_fingers_and_no_face_also_from_the_file_of_the_run(made, tmp_path):
-    *_, model = made
+def test_an_avatar_of_it_has_fingers_and_a_face_also_from_the_file_of_the_run(made, tmp_path):
+    kind, _, model = made
     write_body_model(tmp_path / "body_model.npz", model.sized(1.1))
     again = read_body_model(tmp_path / "body_model.npz")
     bare = make_avatar(again, every=3)
     write_splats(tmp_path / "avatar.npz", attach(bare, again, read_hands_face(again)))
     record = read_avatar(tmp_path / "avatar.npz")
-    assert record.face is None and np.ptp(record.fingers.joints) == pytest.approx(1.1 * reach(model), rel=1e-3)
+    assert np.allclose(again.fingers.face_shapes, 1.1 * model.fingers.face_shapes, rtol=1e-5)
+    assert np.allclose(again.fingers.face_points, 1.1 * model.fingers.face_points, rtol=1e-5)
+    assert np.ptp(record.fingers.joints) == pytest.approx(1.1 * reach(model), rel=1e-3)
     hands = torch.zeros(1, 2, 15, 3)
     hands[0, 0, INDEX[0], 2] = -1.2
     still = [torch.zeros(size) for size in (3, 69, 3)]
@@ -94,6 +138,14 @@ def test_an_avatar_of_it_has_fingers_and_no_face_also_from_the_file_of_the_run(m
     moved = (there[0] - there[1]).norm(dim=1).numpy()
     own = again.fingers.finger_weights[::3, INDEX].any(1)
     assert moved[own].max() > 0.04 and moved[~own].max() < 2e-6
+    if kind == "SMPL-H":
+        assert record.face is None
+        return
+    shapes = [{"jawOpen": 1.0}, {"expression1": -1.5}, {}]
+    faces = [torch.as_tensor(face_vector(one, 62)).float()[None] for one in shapes]
+    jaw, smile, none = (PosedAvatar.of(load_avatar(record), *still, face=one).splats(0).means for one in faces)
+    assert (jaw - none)[:, 1].min() < -0.025 and 0.01 < (smile - none).norm(dim=1).max() < 0.04
+    assert (none - PosedAvatar.of(load_avatar(record), *still).splats(0).means).abs().max() == 0
 
 
 def reach(model):

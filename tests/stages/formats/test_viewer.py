@@ -7,6 +7,7 @@ import json
 import re
 from dataclasses import replace
 from importlib import resources
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,6 +29,7 @@ from stages.formats.ground import read_ground
 from stages.formats.motions import bvh_names
 from stages.formats.splats import read_avatar
 from stages.formats.trained import read_trained
+from stages.gestures import FACE_NAMES, Face
 from tests.made import bvh as bvh_made
 from tests.made import exhibits, headset, tiny
 from tests.made.devtools import Page
@@ -258,6 +260,15 @@ def test_a_dropped_motion_is_played_and_a_bad_one_is_refused_in_words(page, fold
     )  # as `read_bvh` takes it
     wait(page, "hugs.player.motions.length === 7")
     assert page.run("document.getElementById('motion').selectedOptions[0].textContent") == "cut (10 frames of 11)"
+
+
+def test_only_sliders_that_move_a_face_are_shown():
+    moves = np.zeros((62, 1, 3))
+    moves[FACE_NAMES.index("mouthSmileRight")] = 0.01
+    bare = SimpleNamespace(fingers=None)
+    faces = [None, Face(np.zeros(1, int), 0 * moves), Face(np.zeros(1, int), moves)]
+    shown = [viewer._sliders(SimpleNamespace(figures=[SimpleNamespace(face=one, rig=bare)])) for one in faces]
+    assert shown == [{}, {}, {"Smile": "mouthSmileLeft mouthSmileRight"}]
 
 
 def test_the_page_knows_the_names_of_joints_that_animate_knows():

@@ -9,21 +9,21 @@ export const FACE_NAMES = `browDownLeft browDownRight browInnerUp browOuterUpLef
   noseSneerRight tongueOut`.split(/\s+/);
 
 export class Face {
-  /** `moves` [3][52 each] m of the Gaussians `mien` of a body at rest for coefficient 1 of each shape. */
+  /** `moves` [3][K each] m of the Gaussians `mien` of a body at rest for coefficient 1 of each of K shapes, FACE_NAMES first. */
   constructor(body, { mien, moves }) {
-    const count = FACE_NAMES.length, shapes = FACE_NAMES.map(() => []); // of each: a number in `far`, how far it moves that, and so on
+    const count = moves.length / (3 * mien.length), shapes = Array.from({ length: count }, () => []); // of each: a number in `far`, how far it moves that, and so on
     moves.forEach((move, i) => { if (move) shapes[i % count].push(Math.floor(i / count), move); });
     Object.assign(this, { body, rows: mien, shapes, far: new Float32Array(3 * mien.length), last: [] });
   }
 
-  /** Take coefficients [52], or none for a face at rest. */
+  /** Take coefficients of the first shapes, or none for a face at rest. */
   take(face = []) {
     if (face.length === this.last.length && face.every((share, k) => share === this.last[k])) return;
     this.last = face;
     const { body, far, shapes } = this, { means } = body;
     far.fill(0);
-    face.forEach((share, k) => {
-      const moved = shapes[k];
+    shapes.forEach((moved, k) => {
+      const share = face[k];
       if (share) for (let j = 0; j < moved.length; j += 2) far[moved[j]] += share * moved[j + 1];
     });
     this.rows.forEach((row, i) => {

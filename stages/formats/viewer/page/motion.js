@@ -4,7 +4,7 @@ import { slerp } from "hugs/turns";
 
 export class Motion {
   /** Of each person `rotvecs` [72 a frame] rad, root first, and `steps` [3 a frame] m, at `fps` frames a second; where they have
-   * some, `hands` [90 a frame] rad and `face` [52 a frame]. */
+   * some, `hands` [90 a frame] rad and `face` [52 a frame or more]. */
   constructor(name, fps, tracks) {
     Object.assign(this, { name, fps, tracks, known: tracks.map(() => []) });
     this.count = Math.max(...tracks.map(({ steps }) => steps.length / 3));
@@ -15,8 +15,9 @@ export class Motion {
   /** The pose of a whole frame: a quaternion a joint, root first and fingers last, the step of the whole body in m, and a face. */
   frame(i, who) {
     const { rotvecs, steps, hands, face } = this.tracks[who];
+    const shapes = face ? face.length / (steps.length / 3) : 0;
     const cut = (values, each) => (values ? Array.from(values.subarray(each * i, each * i + each)) : []);
-    this.known[who][i] ??= { quats: quatsOf([...cut(rotvecs, 72), ...cut(hands, 90)]), step: cut(steps, 3), face: cut(face, 52) };
+    this.known[who][i] ??= { quats: quatsOf([...cut(rotvecs, 72), ...cut(hands, 90)]), step: cut(steps, 3), face: cut(face, shapes) };
     return this.known[who][i];
   }
 

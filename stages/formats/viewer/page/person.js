@@ -31,7 +31,7 @@ export class Person {
 
   get mesh() { return this.body.mesh; }
 
-  /** Take a pose, {quats [24, with fingers 54], step [3], face [52 or none]}, its hands closed by `fist`, 0 to 1; returns where
+  /** Take a pose, {quats [24, with fingers 54], step [3], face [K or none]}, its hands closed by `fist`, 0 to 1; returns where
    * its bones are. */
   take({ quats, step, face, fist }) {
     const body = quats.slice(0, 24), bones = bonesOf(body, this.joints, this.parents);

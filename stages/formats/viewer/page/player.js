@@ -102,7 +102,8 @@ export class Player {
       quats[joint] = quatOfMatrix(mul(matrixOfQuat(quats[joint]), mul(z, mul(y, x))));
     }
     const face = this.capture?.at(this.seconds) ?? pose.face, more = this.shapes;
-    const moved = FACE_NAMES.map((name, k) => Math.min(1, (face[k] ?? 0) + (more.get(name) ?? 0)));
+    const named = FACE_NAMES.map((name, k) => Math.min(1, (face[k] ?? 0) + (more.get(name) ?? 0)));
+    const moved = [...named, ...face.slice(named.length)]; // with the body's own expressions
     return { ...pose, quats, face: moved, fist: more.get("fist") };
   }
 

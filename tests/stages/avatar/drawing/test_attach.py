@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 import torch
 
+from stages import gestures
 from stages.avatar.body.face import face_vector
 from stages.avatar.body.fingers import finger_bones, finger_joints
 from stages.avatar.body.smpl import Body
 from stages.avatar.drawing.attach import FaceSkin, attach
 from stages.avatar.drawing.avatar import PosedAvatar, bones_of, gloved, load_avatar, mimed, posed_by
+from stages.contract import StageError
 from stages.formats.body_model import read_body_model
 from stages.formats.hands_face import read_hands_face
 from stages.formats.splats import read_avatar, write_splats
@@ -122,6 +124,25 @@ def test_hands_and_face_keep_in_the_file(record, tmp_path):
     )
     assert np.abs(back.fingers.shares - record.fingers.shares).max() < 1e-3
     assert np.abs(back.face.moves.astype(float) - record.face.moves).max() < 2e-4 and back.face.moves.max() > 0.005
+    more = gestures.Face(record.face.rows, np.concatenate([record.face.moves, record.face.moves[:3]]))
+    write_splats(tmp_path / "avatar.npz", replace(record, face=more))
+    back = read_avatar(tmp_path / "avatar.npz")
+    assert len(back.face.moves) == 55 and np.abs(back.face.moves.astype(float) - more.moves).max() < 2e-4
+
+
+def test_coefficients_of_the_first_shapes_alone_leave_the_others_at_rest(record):
+    mien, face = load_avatar(record).face, torch.zeros(52)
+    face[24] = 1
+    means = load_avatar(record).resting.means
+    assert torch.equal(mien.moved(means, face[:25]), mien.moved(means, face))
+
+
+@pytest.mark.parametrize("count", [51, 10**9])
+def test_a_face_of_too_few_or_too_many_shapes_is_refused(record, tmp_path, count):
+    write_splats(tmp_path / "avatar.npz", record)
+    np.savez(tmp_path / "a.npz", **dict(np.load(tmp_path / "avatar.npz")) | {"face_count": count})
+    with pytest.raises(StageError, match=rf"(?s)face_count.*{count} shapes.*52"):
+        read_avatar(tmp_path / "a.npz")
 
 
 @torch.no_grad()

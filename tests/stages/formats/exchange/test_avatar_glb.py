@@ -162,7 +162,7 @@ def test_blender_poses_the_mesh_as_we_do_and_its_bones_lie_along_the_limbs(tmp_p
 
 @pytest.fixture(scope="module")
 def handed(tmp_path_factory):
-    """The body's mesh on finger bones, with the jaw's shape alone: as files, and its vertices' weights for them."""
+    """The body's mesh on finger bones, with shapes of jaw and eyes: as files, and its vertices' weights for them."""
     (mesh, weights), record = handed_mesh(MODEL), handed_avatar(MODEL)
     path = tmp_path_factory.mktemp("hands")
     write_avatar_glb(path / "avatar.glb", rig_of(record), mesh, made_takes(record.joints[0])[:1], "vrm", FLOOR)
@@ -189,10 +189,26 @@ def test_shapes_of_the_face_are_morph_targets_by_name(handed):
     content = Glb(path / "avatar.glb").content
     (one,) = content["meshes"]
     (primitive,) = one["primitives"]
-    assert one["extras"]["targetNames"] == list(FACE_NAMES) and len(primitive["targets"]) == len(one["weights"]) == 52
-    jaw, brow = (content["accessors"][primitive["targets"][k]["POSITION"]] for k in (JAW, 0))
+    names = one["extras"]["targetNames"]
+    assert names == [name for name in FACE_NAMES if name == "jawOpen" or "eyeLook" in name], "those that move something"
+    assert len(primitive["targets"]) == len(one["weights"]) == 9
+    jaw, up = (
+        content["accessors"][primitive["targets"][names.index(k)]["POSITION"]] for k in ("jawOpen", "eyeLookUpLeft")
+    )
     assert jaw["count"] == len(mesh.vertices) and jaw["sparse"]["count"] == 40 and jaw["min"][1] == pytest.approx(-0.03)
-    assert brow["sparse"]["count"] == 1 and brow["min"] == brow["max"] == [0, 0, 0]
+    assert up["sparse"]["count"] == 9 and up["max"][1] == pytest.approx(0.003)
+
+
+def test_a_bodys_own_expressions_are_targets_and_expressions_too(handed, tmp_path):
+    _, mesh, _ = handed
+    rig = rig_of(handed_avatar(MODEL))
+    more = replace(mesh, morphs=np.concatenate([mesh.morphs, 0 * mesh.morphs[:1], mesh.morphs[[JAW]]]))
+    write_avatar_vrm(tmp_path / "avatar.vrm", rig, more, VrmMeta(), "vrm")
+    content = Glb(tmp_path / "avatar.vrm").content
+    names, about = content["meshes"][0]["extras"]["targetNames"], content["extensions"]["VRMC_vrm"]["expressions"]
+    assert names[-1] == "expression2" and len(names) == len(content["meshes"][0]["primitives"][0]["targets"]) == 10
+    (bind,) = about["custom"]["expression2"]["morphTargetBinds"]
+    assert bind["index"] == 9 and set(about["custom"]) == set(names)
 
 
 def test_a_vrm_has_fingers_and_expressions(handed):
@@ -205,8 +221,9 @@ def test_a_vrm_has_fingers_and_expressions(handed):
     )
     assert len(bones) == len(set(bones.values())) == 24 - 2 + 30
     (said,) = about["expressions"]["preset"]["aa"]["morphTargetBinds"]
-    assert said["index"] == JAW and content["nodes"][said["node"]]["mesh"] == 0
-    assert set(about["expressions"]["custom"]) == set(FACE_NAMES)
+    names = content["meshes"][0]["extras"]["targetNames"]
+    assert names[said["index"]] == "jawOpen" and content["nodes"][said["node"]]["mesh"] == 0
+    assert set(about["expressions"]["custom"]) == set(names) and "blink" not in about["expressions"]["preset"]
 
 
 @pytest.mark.slow

@@ -12,12 +12,11 @@ from stages.formats.exchange.avatar_vrm import write_avatar_vrm
 from stages.formats.exchange.bone_names import bone_names, finger_names
 from stages.formats.exchange.glb import Glb
 from stages.formats.exchange.vrm_meta import LICENCE, VrmMeta
-from stages.gestures import FACE_NAMES
 from stages.records import JOINT_NAMES
 from tests.made import judges
 from tests.made.clothes import dress, some_clothes
 from tests.made.devtools import SOFTWARE, Page
-from tests.made.meshes import body_mesh, handed_avatar, handed_mesh
+from tests.made.meshes import EYE, body_mesh, handed_avatar, handed_mesh
 from tests.made.tiny import make_avatar
 
 MODEL = read_body_model()
@@ -47,6 +46,14 @@ window.raise = (name, angle) => {
 };
 window.said = (name, share) => {
   vrm.expressionManager.setValue(name, share);
+  vrm.update(0);
+  let found = [];
+  vrm.scene.traverse((one) => { if (one.isSkinnedMesh) found = one.morphTargetInfluences; });
+  return found;
+};
+window.gaze = () => vrm.lookAt.getLookAtWorldPosition(new THREE.Vector3()).toArray();
+window.look = (place) => {
+  vrm.lookAt.lookAt(new THREE.Vector3(...place));
   vrm.update(0);
   let found = [];
   vrm.scene.traverse((one) => { if (one.isSkinnedMesh) found = one.morphTargetInfluences; });
@@ -121,7 +128,32 @@ def test_three_vrm_finds_fingers_that_turn_and_a_mouth_that_opens(tmp_path):
         np.testing.assert_allclose(rest[bone], place - [0, FLOOR, 0], atol=1e-5, err_msg=f"{bone}, m")
     moved = {bone for bone in rest if np.linalg.norm(np.subtract(bent[bone], rest[bone])) > 1e-4}
     assert moved == {"leftIndexIntermediate", "leftIndexDistal"}
-    assert [name for name, share in zip(FACE_NAMES, wide, strict=True) if share] == ["jawOpen"] and not any(shut)
+    names = Glb(tmp_path / "a.vrm").content["meshes"][0]["extras"]["targetNames"]
+    assert [name for name, share in zip(names, wide, strict=True) if share] == ["jawOpen"] and not any(shut)
+
+
+@pytest.mark.slow
+def test_three_vrm_lets_eyes_follow_a_point(tmp_path):
+    (mesh, _), rig = handed_mesh(MODEL), rig_of(handed_avatar(MODEL))
+    write_avatar_vrm(tmp_path / "a.vrm", rig, mesh, VrmMeta(), "vrm", FLOOR)
+    names = Glb(tmp_path / "a.vrm").content["meshes"][0]["extras"]["targetNames"]
+    ways = {
+        (0.5, 0): "OutLeft InRight",
+        (-0.5, 0): "InLeft OutRight",
+        (0, 0.5): "UpLeft UpRight",
+        (0, -0.5): "DownLeft DownRight",
+    }
+    with opened(tmp_path / "a.vrm", tmp_path) as tab:
+        eyes = np.array(tab.run("gaze()"))
+        np.testing.assert_allclose(eyes, EYE * [0, 1, 1] - [0, FLOOR, 0], atol=0.01)
+        for (x, y), wanted in ways.items():
+            shares = tab.run(f"look({(eyes + [x, y, 1]).tolist()})")
+            shown = {
+                name.removeprefix("eyeLook"): share for name, share in zip(names, shares, strict=True) if share > 0.02
+            }
+            assert shown == dict.fromkeys(wanted.split(), 1), f"{x, y}"
+        half = dict(zip(names, tab.run(f"look({(eyes + [np.tan(np.radians(7)), 0, 1]).tolist()})"), strict=True))
+    assert half["eyeLookOutLeft"] == pytest.approx(0.5, abs=0.01)
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import pytest
 
 from stages.contract import StageError
 from stages.formats.motions.smpl_npz import read_smpl_motion
+from stages.gestures import FACE_NAMES
 from tests.made.said import any_holds, holds
 
 N = 5
@@ -57,6 +58,37 @@ def test_the_families(tmp_path, arrays, kept, fps):
     width = next((array.shape[1] for key, array in arrays.items() if key == "poses"), 0)
     assert (motion.hands is not None) == (width in (156, 165))
     assert bool(motion.notes) == (kept == 22 and width != 156)
+
+
+def test_jaw_eyes_and_expressions_are_a_face_in_every_layout(tmp_path):
+    """A half open jaw, a left eye that looks in, and eleven expressions, of which ten are taken."""
+    turns, expressions = np.zeros((N, 9)), RNG.normal(size=(N, 11))
+    turns[1, 0], turns[2, 4] = np.radians(11), np.radians(-7)
+    poses = np.concatenate([POSES[:, :66], turns, POSES[:, 75:]], 1)
+    body, eyes = {"poses": POSES[:, :72], "trans": TRANS}, {"leye_pose": turns[:, 3:6], "reye_pose": turns[:, None, 6:]}
+    faces = [
+        read(tmp_path, poses=poses, trans=TRANS, expressions=expressions).face,
+        read(tmp_path, pose_jaw=turns[:, :3], pose_eye=turns[:, 3:], expression=expressions, **body).face,
+        read(tmp_path, jaw_pose=turns[:, :3], expression=expressions, **eyes, **body).face,
+    ]
+    for face in faces:
+        assert face.shape == (N, 62)
+        np.testing.assert_array_equal(face[:, 52:], expressions[:, :10])
+        shown = {(f, FACE_NAMES[k]): face[f, k] for f, k in zip(*np.nonzero(face[:, :52]), strict=True)}
+        assert shown == {(1, "jawOpen"): pytest.approx(0.5), (2, "eyeLookInLeft"): pytest.approx(0.5)}
+    turns[:] = 0
+    still = read(tmp_path, jaw_pose=turns[:, :3], expression=0 * expressions, **body)
+    assert still.face is None and not still.notes
+
+
+def test_turns_beyond_a_face_are_held_and_said_and_so_is_what_is_no_face(tmp_path):
+    jaw = np.zeros((N, 3))
+    jaw[:2, 0] = np.radians([44, -3])
+    given = {"poses": POSES[:, :72], "trans": TRANS, "jaw_pose": jaw, "expression": np.zeros(10), "leye_pose": jaw[:1]}
+    motion = read(tmp_path, **given)
+    assert motion.face.shape == (N, 52) and motion.face[:, FACE_NAMES.index("jawOpen")].tolist() == [1, *[0] * (N - 1)]
+    assert any_holds(motion.notes, "2 turns") and any_holds(motion.notes, "expression left out")
+    assert any_holds(motion.notes, "leye_pose left out")
 
 
 WORLD = {"global_orient": POSES[:, :3], "body_pose": POSES[:, 3:66], "transl": TRANS}

@@ -277,6 +277,25 @@ def test_the_page_has_the_shapes_in_our_order(page):
 
 
 @pytest.mark.slow
+def test_a_face_of_more_shapes_moves_and_takes_fewer_and_more_coefficients(page):
+    """One Gaussian at 0, which shape 53 lifts and the first moves aside; the avatar has 54 shapes."""
+    moves = np.zeros((3, 54))
+    moves[1, 52], moves[0, 0] = 0.01, 0.02
+    code = f"""import('hugs/face').then(({{ Face }}) => {{
+      const told = [], body = {{ means: [0, 0, 0], place: (row, ...at) => told.push(at), send: () => 0 }};
+      const face = new Face(body, {{ mien: [0], moves: {moves.ravel().tolist()} }});
+      for (const one of [[1], Array(54).fill(0).fill(-2, 52), Array(60).fill(1)]) face.take(one);
+      return told;
+    }})"""
+    np.testing.assert_allclose(page.run(code), [[0.02, 0, 0], [0, -0.02, 0], [0.02, 0.01, 0]], atol=1e-7)
+    code = f"""import('hugs/motion').then(({{ Motion }}) => new Motion('a', 30, [{{ rotvecs: new Float32Array(144),
+      steps: new Float32Array(6), face: new Float32Array({[0.0] * 53 + [1.0] + [0.0] * 53 + [3.0]}) }}]).at(0.5).face)"""
+    assert page.run(code) == [*[0] * 53, 2]
+    bent = "hugs.player.bent({ quats: [], face: [...Array(52).fill(0.5), -2] }).face"
+    assert page.run(bent) == [*[0.5] * 52, -2]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", CAPTURES)
 def test_a_face_capture_is_read_as_animate_reads_it(page, tmp_path, kind):
     text = "\n".join(CAPTURES[kind])

@@ -1,6 +1,7 @@
 """A face that training learns: each frame its own, few shapes, and nothing where frames show nothing."""
 
 import numpy as np
+import pytest
 import torch
 import torch.nn.functional as F
 
@@ -16,10 +17,15 @@ SHOWN = torch.tensor([0.0, 0.9, 0.45, 0.0, 0.9, 0.2])
 """How far the first shape is open in the clip; frame 2 is held out."""
 
 
-def talking():
-    """The clip of a striped ellipsoid, all of it a head, whose upper part slides aside by the first of 52 shapes."""
+def talking(own: bool = False):
+    """The clip of a striped ellipsoid, all of it a head, whose upper part slides aside by the first of 52 shapes, or of its `own`
+    expressions, which then goes the other way.
+    """
     views, person = training.make_clip()
     person = training.with_face(person)
+    if own:
+        slide, none = person.face.shapes[:1], torch.zeros_like(person.face.shapes)
+        person = person._replace(face=person.face._replace(shapes=torch.cat([none, -slide, none[:9]])))
     person = person._replace(body_pose=torch.zeros_like(person.body_pose))
     human, scene, generator = training.models(0)
     scene.sh0.data = torch.randn(scene.sh0.shape, generator=generator)
@@ -29,8 +35,9 @@ def talking():
         canonical = human()[0]._replace(sh=torch.sin(8 * person.vertices)[:, None] * 1.5, weights=person.weights)
         resting = rest(canonical, bone_transforms(person.joints, PARENTS, torch.zeros(3), torch.zeros(69)))
         mien = person.face.at(resting.means, resting.weights)
+        towards = -F.one_hot(torch.tensor(52), 62) if own else F.one_hot(torch.tensor(0), 52)
         for f, shown in enumerate(SHOWN):
-            open_wide = resting._replace(means=mien.moved(resting.means, shown * F.one_hot(torch.tensor(0), 52)))
+            open_wide = resting._replace(means=mien.moved(resting.means, shown * towards))
             splats = pose(open_wide, person.bones(f), person.transl[f])
             (drawn,) = compose(splats, scene.splats(), views.camera(f))
             images.append((drawn.image.clamp(0, 1) * 255).round().byte())
@@ -38,8 +45,8 @@ def talking():
     return views._replace(images=torch.stack(images), masks=torch.stack(masks)), person
 
 
-def learned(steps: int, **more) -> Fit:
-    views, person = talking()
+def learned(steps: int, own: bool = False, **more) -> Fit:
+    views, person = talking(own)
     human, wall, generator = training.models()
     how = training.settings(steps, **{"refine_pose": False, "learn_face": True} | more)
     fit = Fit(views, training.TRAIN, [Starting(person, human)], wall, *how, generator)
@@ -58,6 +65,19 @@ def test_each_frame_learns_the_face_it_shows_and_one_that_is_held_out_takes_its_
     assert faces[:, 3:].max() == 0, "shapes that move nothing stay at 0"
 
 
+@pytest.mark.slow
+def test_a_bodys_own_expressions_are_learned_to_both_sides_and_shapes_of_zeros_stay_at_exactly_0():
+    found = learned(150, own=True)
+    faces = found.poses(found.people[0]).face
+    assert faces.shape == (len(SHOWN), 62) and not faces[:, :52].any() and not faces[:, 53:].any()
+    assert np.corrcoef(faces[training.TRAIN, 52], SHOWN[training.TRAIN])[0, 1] < -0.95, faces[:, 52]
+    assert faces[[1, 4], 52].max() < -0.4
+    pull = found.people[0].corrections.prior(1, training.TRAIN).detach()
+    with torch.no_grad():
+        found.people[0].corrections.face.weight[:, 52] *= -1
+    torch.testing.assert_close(found.people[0].corrections.prior(1, training.TRAIN).detach(), pull)
+
+
 def test_where_no_face_is_to_be_learned_none_is():
     found = learned(10, learn_face=False)
     assert found.poses(found.people[0]).face is None
@@ -65,7 +85,7 @@ def test_where_no_face_is_to_be_learned_none_is():
 
 
 def test_a_prior_pulls_shapes_to_0_and_frames_to_their_neighbours():
-    found, train = BodyCorrections(6, face=True), [0, 1, 3, 4]
+    found, train = BodyCorrections(6, face=54), [0, 1, 3, 4]
     with torch.no_grad():
         found.face.weight[:, 0] = torch.tensor([0.2, 0.8, 0.0, 0.4, 0.0, 0.0])
     (slope,) = torch.autograd.grad(found.prior(1, train), found.face.weight)
@@ -75,8 +95,8 @@ def test_a_prior_pulls_shapes_to_0_and_frames_to_their_neighbours():
     assert row[0] > row[1] > 0, "0.5 over its neighbours' mean; the others are alike there"
     found.clamp_face()
     with torch.no_grad():
-        found.face.weight[0, :2] = torch.tensor([1.4, -0.3])
+        found.face.weight[0, [0, 1, 52, 53]] = torch.tensor([1.4, -0.3, 2.5, -2.5])
     found.clamp_face()
-    assert found.face.weight[0, :2].tolist() == [1, 0]
+    assert found.face.weight[0, [0, 1, 51, 52, 53]].tolist() == [1, 0, 0, 2, -2]
     plain = BodyCorrections(6)
     assert plain.prior(1, train) == 0 and plain.face is None
