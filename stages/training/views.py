@@ -95,7 +95,7 @@ class FittedBody(NamedTuple):
     global_orient[F,3], body_pose[F,69], transl[F,3], confidence[F] from 0 (no fit worth learning from) to 1, joints[24,3]
     at rest, parents, canonical_pose[69], template vertices[V,3] at the canonical pose with weights[V,J], faces[T,3],
     J: the bones of skeleton and clothes. `clothing`: the bones of clothes, or None; `cloth`: their Gaussians at the canonical
-    pose. `antialias`: how to draw. `hands`: fingers, where the clip shows them. `face`: where it is learned in each frame, or given,
+    pose. `antialias`: how to draw. `hands`: fingers, where the clip shows them. `face`: where it is learned, or given,
     with coefficients `expressions` [F,K] where these are known.
     """
 
