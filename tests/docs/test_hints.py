@@ -108,7 +108,16 @@ UNDONE = {
         ["hugs run PICTURES/ --cameras X", "--set frames.train_camera=N", "--scene work/kitchen/default"], GIVES
     ),
     **dict.fromkeys(
-        ["--only both", "--person", "--who", "--plot", "--profile", "--set train.human_loss", "--set train.joint"],
+        [
+            "--only both",
+            "--face",
+            "--person",
+            "--who",
+            "--plot",
+            "--profile",
+            "--set train.human_loss",
+            "--set train.joint",
+        ],
         LEAVES,
     ),
     **dict.fromkeys(["--json", "--keep", "hugs", "python -m hugs_cli.fleet.job RUN_FOLDER ROW STEP THREADS"], NAMES),

@@ -16,7 +16,7 @@ import numpy as np
 from stages.formats.exchange.bone_names import Names
 from stages.formats.exchange.glb import TRIANGLES, VERTICES, Arrays, write_glb
 from stages.formats.exchange.skeleton import Skeleton, skeleton_of
-from stages.gestures import face_names
+from stages.gestures import FACE_NAMES, face_names
 from stages.records import Mesh, Rig, Take
 
 JPEG = [cv2.IMWRITE_JPEG_QUALITY, 92, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
@@ -105,8 +105,9 @@ def surface(content: dict[str, Any], mesh: Mesh, arrays: Arrays) -> dict[str, An
 
 
 def targets_of(mesh: Mesh) -> dict[str, np.ndarray]:
-    """The shapes of a mesh's face by name, in their order, as they move its vertices [V,3] m; without those that move none."""
+    """The shapes of a mesh's face by name, as they move its vertices [V,3] m: all FACE_NAMES, since face trackers look for each of
+    them, then those of the body's own that move some."""
     if mesh.morphs is None:
         return {}
     named = zip(face_names(len(mesh.morphs)), mesh.morphs, strict=True)
-    return {name: shape for name, shape in named if np.linalg.norm(shape, axis=1).max() > MOVED}
+    return {name: shape for name, shape in named if name in FACE_NAMES or np.linalg.norm(shape, axis=1).max() > MOVED}

@@ -67,27 +67,23 @@ def write_avatar_vrm(path: Path, rig: Rig, mesh: Mesh, meta: VrmMeta, names: Nam
     about: dict[str, Any] = {"specVersion": "1.0", "meta": meta.as_written(), "humanoid": {"humanBones": bones}}
     if targets:
         about["expressions"] = expressions(first - 2, list(targets))
-        if all(f"{look}{side}" in targets for look in RANGES.values() for side in ("Left", "Right")):
+        if all(targets[f"{look}{side}"].any() for look in RANGES.values() for side in ("Left", "Right")):
             about["lookAt"] = look_at(mesh, targets, skeleton)
     write_glb(path, content | {"extensionsUsed": [VRM], "extensions": {VRM: about}}, arrays)
 
 
 def expressions(node: int, targets: list[str]) -> dict[str, Any]:
-    """VRM's expressions by the morph `targets` of the mesh at `node`: presets, of the shapes among them, and each by its name."""
+    """VRM's expressions by the morph `targets` of the mesh at `node`: its presets, and each by its name, for face tracking."""
 
     def bound(shapes: dict[str, float]) -> dict[str, Any]:
-        binds = [
-            {"node": node, "index": targets.index(name), "weight": weight}
-            for name, weight in shapes.items()
-            if name in targets
-        ]
-        return {"morphTargetBinds": binds}
+        return {
+            "morphTargetBinds": [
+                {"node": node, "index": targets.index(name), "weight": weight} for name, weight in shapes.items()
+            ]
+        }
 
     presets = {name: bound(shapes) for name, shapes in PRESETS.items()}
-    return {
-        "preset": {name: one for name, one in presets.items() if one["morphTargetBinds"]},
-        "custom": {name: bound({name: 1.0}) for name in targets},
-    }
+    return {"preset": presets, "custom": {name: bound({name: 1.0}) for name in targets}}
 
 
 def look_at(mesh: Mesh, targets: dict[str, np.ndarray], skeleton: Skeleton) -> dict[str, Any]:

@@ -190,13 +190,14 @@ def test_shapes_of_the_face_are_morph_targets_by_name(handed):
     (one,) = content["meshes"]
     (primitive,) = one["primitives"]
     names = one["extras"]["targetNames"]
-    assert names == [name for name in FACE_NAMES if name == "jawOpen" or "eyeLook" in name], "those that move something"
-    assert len(primitive["targets"]) == len(one["weights"]) == 9
-    jaw, up = (
-        content["accessors"][primitive["targets"][names.index(k)]["POSITION"]] for k in ("jawOpen", "eyeLookUpLeft")
+    assert names == list(FACE_NAMES) and len(primitive["targets"]) == len(one["weights"]) == 52
+    jaw, up, brow = (
+        content["accessors"][primitive["targets"][names.index(k)]["POSITION"]]
+        for k in ("jawOpen", "eyeLookUpLeft", "browInnerUp")
     )
     assert jaw["count"] == len(mesh.vertices) and jaw["sparse"]["count"] == 40 and jaw["min"][1] == pytest.approx(-0.03)
     assert up["sparse"]["count"] == 9 and up["max"][1] == pytest.approx(0.003)
+    assert brow["sparse"]["count"] == 1 and brow["min"] == brow["max"] == [0, 0, 0]
 
 
 def test_a_bodys_own_expressions_are_targets_and_expressions_too(handed, tmp_path):
@@ -206,9 +207,9 @@ def test_a_bodys_own_expressions_are_targets_and_expressions_too(handed, tmp_pat
     write_avatar_vrm(tmp_path / "avatar.vrm", rig, more, VrmMeta(), "vrm")
     content = Glb(tmp_path / "avatar.vrm").content
     names, about = content["meshes"][0]["extras"]["targetNames"], content["extensions"]["VRMC_vrm"]["expressions"]
-    assert names[-1] == "expression2" and len(names) == len(content["meshes"][0]["primitives"][0]["targets"]) == 10
+    assert names[-1] == "expression2" and len(names) == len(content["meshes"][0]["primitives"][0]["targets"]) == 53
     (bind,) = about["custom"]["expression2"]["morphTargetBinds"]
-    assert bind["index"] == 9 and set(about["custom"]) == set(names)
+    assert bind["index"] == 52 and set(about["custom"]) == set(names)
 
 
 def test_a_vrm_has_fingers_and_expressions(handed):
@@ -223,7 +224,7 @@ def test_a_vrm_has_fingers_and_expressions(handed):
     (said,) = about["expressions"]["preset"]["aa"]["morphTargetBinds"]
     names = content["meshes"][0]["extras"]["targetNames"]
     assert names[said["index"]] == "jawOpen" and content["nodes"][said["node"]]["mesh"] == 0
-    assert set(about["expressions"]["custom"]) == set(names) and "blink" not in about["expressions"]["preset"]
+    assert set(about["expressions"]["custom"]) == set(names)
 
 
 @pytest.mark.slow
