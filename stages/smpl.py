@@ -81,7 +81,7 @@ def run(
     import numpy as np
 
     from stages.estimators.bodyfit.floor import floor_of
-    from stages.estimators.bodyfit.given_face import with_face
+    from stages.estimators.bodyfit.given_face import check_alone, with_face
     from stages.estimators.bodyfit.inputs import of_person, read_inputs
     from stages.estimators.bodyfit.metre import find_metre, stature_of
     from stages.estimators.bodyfit.reporting import report_ground
@@ -92,6 +92,8 @@ def run(
     clip = read_inputs(read_facts(frames / "frames.json", Listing), sfm, body_model)
     smpl_fit = smpl_fit or (None if landmarks else given_by(frames, "smpl_fit.npz"))
     people, heights = people_of(sfm), params.height or {}
+    if face is not None:
+        check_alone(face, people)
     fits: list[Fitted] = []
     statures: list[float] = []
     jobs = [job if len(people) == 1 else job_of(job, person) for person in people]
@@ -110,7 +112,7 @@ def run(
         world = metre.factors[0] * fits[0].poses.world_from_sfm
         fits = [in_metres(fit, k, world, clip) for fit, k in zip(fits, metre.factors, strict=True)]
     if face is not None:
-        fits = with_face(job, face, fits, clip.times)
+        fits = [with_face(job, face, fits[0], clip.times)]
     for person, own, fit, stature in zip(people, jobs, fits, statures, strict=True):
         if person == 1 or fit.model is not fits[0].model:
             write_body_model(folder_of(job.out, person) / "body_model.npz", fit.model)

@@ -36,6 +36,7 @@ from stages.formats.images import write_image, write_mask
 from stages.formats.landmarks import NAMES, write_landmarks
 from stages.formats.points import write_points
 from stages.formats.poses import read_poses
+from stages.gestures import FACE_NAMES
 from stages.records import BodyPoses
 from tests.made import bodyfit_clips, landmark_files
 from tests.made.possible import impossible
@@ -129,7 +130,13 @@ def test_i05_j05_a_fit_in_camera_frames_lands_in_the_world_with_one_scale(folder
     kept = np.delete(np.arange(16), [4, 5])
     rows = {key: value if key in ("betas", "body") else value[kept] for key, value in fit.items()}
     np.savez(tmp_path / "fit.npz", names=np.array(clip.cameras.names)[kept], **rows)
-    poses, facts, said = run(tmp_path / "out", frames, sfm, smpl_fit=tmp_path / "fit.npz")
+    rows = [f"{2 * t},{t}" for t in np.linspace(0, 0.9, 40)]
+    (tmp_path / "take.csv").write_text("\n".join(["time,jawOpen", *rows]))
+    given = {"smpl_fit": tmp_path / "fit.npz", "face": tmp_path / "take.csv"}
+    poses, facts, said = run(tmp_path / "out", frames, sfm, **given)
+    opened = poses.face[:, FACE_NAMES.index("jawOpen")]
+    np.testing.assert_allclose(opened, np.minimum(clip.times / 2, 0.9), atol=1e-6)
+    assert opened.max() > 0.3 and np.count_nonzero(poses.face.any(0)) == 1
     assert poses.world_from_sfm == pytest.approx(clip.scale, rel=0.03)
     error = np.linalg.norm(world_joints(poses) * clip.scale / poses.world_from_sfm - clip.joints, axis=-1)
     assert error[kept].mean() < 0.05

@@ -29,17 +29,18 @@ def check_face(path: Path, model: BodyModel) -> None:
         )
 
 
-def with_face(job: Job, path: Path, fits: Sequence[Fitted], times: np.ndarray) -> list[Fitted]:
-    """The fit of the only person, with the face at `times` [F] s: the film and the capture begin together.
-
-    Also notes what of the file was taken; StageError where there are several people.
-    """
-    if len(fits) > 1:
+def check_alone(path: Path, people: Sequence[int]) -> None:
+    """StageError where several `people` are modelled."""
+    if len(people) > 1:
         hint = "choose its person with `--person ID`, or leave out `--face`"
-        raise StageError(f"{path.name} is the face of one person, and the masks show {len(fits)}", hint)
-    take, (fit,) = read_face(path), fits
+        raise StageError(f"{path.name} is the face of one person, and the masks show {len(people)}", hint)
+
+
+def with_face(job: Job, path: Path, fit: Fitted, times: np.ndarray) -> Fitted:
+    """The fit with the face at `times` [F] s, where film and capture begin together; notes what of the file was taken."""
+    take = read_face(path)
     job.note("; ".join([f"face: {path.name}", *take.notes]))
     if late := int((times > take.times[-1] + BEYOND).sum()):
         ends = f"{path.name} ends at {take.times[-1]:.1f} s, the film's frames at {times[-1]:.1f} s"
         job.warn(f"{ends}: in {late} of {len(times)} frames the face stays as it was last")
-    return [replace(fit, poses=replace(fit.poses, face=faces_at(times, take.times, take.face)))]
+    return replace(fit, poses=replace(fit.poses, face=faces_at(times, take.times, take.face)))

@@ -35,7 +35,7 @@ def detect(evidence: ClipEvidence) -> Finding:
     """The median height of the face in frames in which it looks at the camera; if large but hidden, the share that shows it."""
     clip, rig = evidence.clip, read_hands_face(evidence.clip.body_model)
     if clip.body.face is not None:
-        return Finding(None, UNIT, HIGH, "given: `--face`", False, 0.0)
+        return Finding(None, UNIT, HIGH, "given by `--face`", False, 0.0)
     if rig is None or not len(rig.face_points):
         return unmeasured(UNIT, HIGH, "the body model has no face that moves")
     placed, heads = faces_of(clip, rig)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from stages.contract import Job, StageError
-from stages.estimators.bodyfit.given_face import check_face, with_face
+from stages.estimators.bodyfit.given_face import check_alone, check_face, with_face
 from stages.estimators.bodyfit.reporting import Fitted
 from stages.formats.body_model import read_body_model
 from stages.gestures import FACE_NAMES
@@ -33,22 +33,23 @@ def fitted() -> Fitted:
 
 def test_it_is_read_at_the_times_of_the_frames_and_stays_as_it_was_last(take):
     said = []
-    (found,) = with_face(Job(Path(), emit=said.append), take, [fitted()], TIMES)
+    found = with_face(Job(Path(), emit=said.append), take, fitted(), TIMES)
     wanted = np.zeros((4, len(FACE_NAMES)))
     wanted[:, FACE_NAMES.index("jawOpen")] = 0.2, 0.4, 0.6, 0.6
     np.testing.assert_allclose(found.poses.face, wanted)
     words = " ".join(event.get("text", "") for event in said)
     assert holds(words, "take.csv", "1 of 52", "ends at 1.0 s", "3.0 s", "1 of 4 frames")
     said.clear()
-    with_face(Job(Path(), emit=said.append), take, [fitted()], TIMES[:3])
+    with_face(Job(Path(), emit=said.append), take, fitted(), TIMES[:3])
     assert "ends" not in " ".join(event.get("text", "") for event in said)
 
 
 def test_it_is_of_one_person_and_of_a_body_with_a_face(take):
     with pytest.raises(StageError, match="one person") as caught:
-        with_face(Job(Path(), emit=print), take, [fitted(), fitted()], TIMES)
+        check_alone(take, [1, 2])
     assert "--person" in caught.value.hint
     with pytest.raises(StageError, match="SMPL has no face") as caught:
         check_face(take, replace(MODEL, name="SMPL"))
     assert "--body-model" in caught.value.hint
     check_face(take, MODEL)
+    check_alone(take, [1])
