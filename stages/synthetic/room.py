@@ -50,8 +50,8 @@ def make_room(rng: np.random.Generator) -> Room:
     stack = np.stack([_planks(rng), _plain(rng, (0.9, 0.9, 0.88), 0.05), *walls, _wood(rng), _cloth(rng), _rug(rng)])
     mips = [stack.clip(0, 1).astype(np.float32)]
     for _ in range(LEVELS - 1):
-        count, size = mips[-1].shape[:2]
-        mips.append(mips[-1].reshape(count, size // 2, 2, size // 2, 2, 3).mean((2, 4)))
+        upper, lower = mips[-1][:, ::2], mips[-1][:, 1::2]
+        mips.append((upper[:, :, ::2] + upper[:, :, 1::2] + lower[:, :, ::2] + lower[:, :, 1::2]) / np.float32(4))
     return Room(np.array(boxes), np.array(paint), np.array(tints), tuple(mips))
 
 

@@ -288,6 +288,7 @@ def only_failed(place: Place, said: Said) -> None:
 
 TRAINED = {
     "hugs run dance.mp4 --dry-run": Try(planned),
+    "hugs ablate dance.mp4 --dry-run": Try(eighteen),
     "hugs run dance.mp4": Try(whole_run),
     "hugs run dance.mp4 --within 15m": Try(in_time, PAGE),
     "hugs run dance.mp4 --within 40m": Try(kept_in_time, PAGE),
@@ -310,10 +311,6 @@ TRAINED = {
     "hugs run dance.mp4 --cameras sparse/0 --scale cameras": Try(their_metres, ("smpl",)),
     "hugs run dance.mp4 --landmarks keypoints/": Try(keypoints, ("smpl",)),
     "hugs run dance.mp4 train --force": Try(made_again),
-}
-"""Runs of one clip."""
-STUDIED = {
-    "hugs ablate dance.mp4 --dry-run": Try(eighteen),
     "hugs ablate dance.mp4": Try(each_part, FEW),
     "hugs ablate dance.mp4 --seeds 3": Try(each_part),
     "hugs ablate dance.mp4 --part no_lbs --seeds 2": Try(one_part),
@@ -336,4 +333,4 @@ STUDIED = {
         only_failed, code=1
     ),
 }
-"""Many trainings: ablations, sweeps, data sets, fleets."""
+"""Runs of one clip, then what trains many times: ablations, sweeps, data sets, fleets."""

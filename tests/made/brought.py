@@ -41,13 +41,12 @@ def found(folder: Path) -> None:
 
 
 def data_sets(folder: Path) -> None:
-    """A sequence of each, whose poses are SMPL's, and an SMPL model."""
+    """A sequence of each, whose poses are SMPL's."""
     datasets.zju(folder / "zju")
     (path,) = (datasets.neuman(folder / "neuman").folder / "4d_humans").glob("smpl_*.npz")
     with np.load(path) as file:
         arrays = {key: file[key] for key in file if key != "body"}
     np.savez(path, **arrays)
-    write_smpl(folder / "SMPL_NEUTRAL.pkl", true())
 
 
 def clips(folder: Path) -> None:

@@ -90,12 +90,15 @@ def cast(world_from_camera, K, width: int, height: int, boxes, paint, tints, mip
     for row in prange(height):
         m = world_from_camera[min(np.int64(row), len(world_from_camera) - 1)]
         eye = (m[0, 3], m[1, 3], m[2, 3])
+        spans = _spans(m, K, row, boxes)
         for column in range(width):
             u, v = (column + 0.5 - K[0, 2]) / K[0, 0], (row + 0.5 - K[1, 2]) / K[1, 1]
             ray = (m[0, 0] * u + m[0, 1] * v + m[0, 2], m[1, 0] * u + m[1, 1] * v + m[1, 2],
                    m[2, 0] * u + m[2, 1] * v + m[2, 2])  # fmt: skip
             best, which, face = np.inf, -1, -1
             for i in range(len(boxes)):
+                if not spans[i, 0] <= column <= spans[i, 1]:
+                    continue
                 t, side = _meet(eye, ray, boxes, i)
                 if t < best:
                     best, which, face = t, i, side
@@ -107,11 +110,11 @@ def cast(world_from_camera, K, width: int, height: int, boxes, paint, tints, mip
             level = np.log2(max(best / K[0, 0] / np.sqrt(facing) * per_metre, 1.0))
             level = min(level, len(mips) - 1.001)
             fine = int(level)
+            a = _texel(mips[fine], paint[which, face], x * per_metre / 2**fine, y * per_metre / 2**fine)
+            b = _texel(mips[fine + 1], paint[which, face], x * per_metre / 2 ** (fine + 1),
+                       y * per_metre / 2 ** (fine + 1))  # fmt: skip
             for c in range(3):
-                a = _texel(mips[fine], paint[which, face], x * per_metre / 2**fine, y * per_metre / 2**fine, c)
-                b = _texel(mips[fine + 1], paint[which, face], x * per_metre / 2 ** (fine + 1),
-                           y * per_metre / 2 ** (fine + 1), c)  # fmt: skip
-                image[row, column, c] = (a + (b - a) * (level - fine)) * value * tints[which, c]
+                image[row, column, c] = (a[c] + (b[c] - a[c]) * (level - fine)) * value * tints[which, c]
             if gloss > 0:
                 image[row, column] += gloss * _mirrored(hit, ray, lamps, boxes[which], face)
     return image, depth
@@ -120,6 +123,31 @@ def cast(world_from_camera, K, width: int, height: int, boxes, paint, tints, mip
 @njit(cache=True, inline="always")
 def _turned(x, y, z, box):
     return box[6] * x - box[7] * z, y, box[7] * x + box[6] * z
+
+
+@njit(cache=True)
+def _spans(m, K, row, boxes):
+    """First and last column [B,2] of a row in which each box can be seen: all, of the room and of a box that reaches behind the
+    camera.
+    """
+    spans = np.empty((len(boxes), 2))
+    for i in range(len(boxes)):
+        box = boxes[i]
+        left, right, top, bottom = np.inf, -np.inf, np.inf, -np.inf
+        for corner in range(8):
+            x, y, z = (box[3] if corner & 1 else -box[3], box[4] if corner & 2 else -box[4],
+                       box[5] if corner & 4 else -box[5])  # fmt: skip
+            x, y, z = (box[0] + box[6] * x + box[7] * z - m[0, 3], box[1] + y - m[1, 3],
+                       box[2] - box[7] * x + box[6] * z - m[2, 3])  # fmt: skip
+            depth = m[0, 2] * x + m[1, 2] * y + m[2, 2] * z
+            if i == 0 or depth < NEAR:
+                left, right, top, bottom = -np.inf, np.inf, -np.inf, np.inf
+                break
+            column = K[0, 0] * (m[0, 0] * x + m[1, 0] * y + m[2, 0] * z) / depth + K[0, 2]
+            line = K[1, 1] * (m[0, 1] * x + m[1, 1] * y + m[2, 1] * z) / depth + K[1, 2]
+            left, right, top, bottom = min(left, column), max(right, column), min(top, line), max(bottom, line)
+        spans[i] = (left - 1, right) if top - 1 <= row <= bottom else (1.0, 0.0)
+    return spans
 
 
 @njit(cache=True)
@@ -198,14 +226,23 @@ def _distance(point, box):
 
 
 @njit(cache=True)
-def _texel(stack, texture, x, y, c):
-    """Bilinear value of a repeating texture, texel centres at halves."""
+def _texel(stack, texture, x, y):
+    """Bilinear colour of a repeating texture, texel centres at halves."""
     size = stack.shape[1]
     x, y = x - 0.5, y - 0.5
     x0, y0 = int(np.floor(x)), int(np.floor(y))
     fx, fy = x - x0, y - y0
     x1, y1 = (x0 + 1) % size, (y0 + 1) % size
     x0, y0 = x0 % size, y0 % size
-    upper = stack[texture, y0, x0, c] * (1 - fx) + stack[texture, y0, x1, c] * fx
-    lower = stack[texture, y1, x0, c] * (1 - fx) + stack[texture, y1, x1, c] * fx
+    return (
+        _between(stack[texture], y0, y1, x0, x1, fx, fy, 0),
+        _between(stack[texture], y0, y1, x0, x1, fx, fy, 1),
+        _between(stack[texture], y0, y1, x0, x1, fx, fy, 2),
+    )
+
+
+@njit(cache=True, inline="always")
+def _between(tile, y0, y1, x0, x1, fx, fy, c):
+    upper = tile[y0, x0, c] * (1 - fx) + tile[y0, x1, c] * fx
+    lower = tile[y1, x0, c] * (1 - fx) + tile[y1, x1, c] * fx
     return upper * (1 - fy) + lower * fy

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stages.avatar.cameras.pinhole import look_at, pinhole
-from stages.avatar.kernels.mesh import NO_LAMPS, cast, fill
+from stages.avatar.kernels.mesh import NO_LAMPS, _meet, cast, fill
 
 K = pinhole(50.0, 40, 30)
 DOWN = np.array([0.0, 1.0, 0.0])
@@ -60,6 +60,22 @@ def test_cast_sees_the_wall_through_the_room_and_the_box_before_it():
     _, depth = cast(pose, K, 40, 30, boxes, *arguments)
     assert depth[15, 20] == pytest.approx(2 - 0.1 / np.cos(0.3), abs=0.01)
     assert depth[15, 2] == 4.0
+
+
+@pytest.mark.slow
+def test_cast_leaves_no_box_out_that_a_ray_meets():
+    """Turned boxes before, beside and around the camera, which rolls and moves from row to row."""
+    rng = np.random.default_rng(0)
+    boxes = np.array([[*rng.uniform(-2, 2, 3), *rng.uniform(0.05, 1, 3), np.cos(a), np.sin(a)] for a in range(12)])
+    boxes[0] = [0, 0, 0, 5, 5, 5, 1, 0]
+    poses = np.stack([np.linalg.inv(look_at(eye, rng.uniform(-1, 1, 3), DOWN)) for eye in rng.uniform(-2, 2, (30, 3))])
+    mips = tuple(np.full((1, s, s, 3), 0.5, np.float32) for s in (8, 4))
+    _, depth = cast(poses, K, 40, 30, boxes, np.zeros((12, 6), int), np.ones((12, 3)), mips, 4.0, DOWN, *PLAIN)
+    met = [
+        [min(_meet(tuple(pose[:3, 3]), tuple(pose[:3, :3] @ ray), boxes, i)[0] for i in range(12)) for ray in row]
+        for pose, row in zip(poses, rays(), strict=True)
+    ]
+    assert depth == pytest.approx(np.array(met), rel=1e-9)
 
 
 @pytest.mark.slow
