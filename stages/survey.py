@@ -19,6 +19,8 @@ Effect = Literal["auto", "always", "never"]
 LOADS = contract.TORCH
 OF_PERSON = ("pose_refinement", "face", "clothing", "shading")
 """Effects that are looked for in each of several people alone."""
+MISSED = ("clothing", "face")
+"""Effects whose lack is seen in the avatar: the run prints why they are off."""
 
 # Limits at which a measure changes a decision or causes a warning.
 MIN_PARALLAX_DEG = 1.0  # below this SfM depth is mostly noise
@@ -123,10 +125,10 @@ def decide(setting: Effect, finding: Finding) -> dict:
 
 
 def reasons(effects: dict[str, dict]) -> list[str]:
-    """The effects that are on and why, why clothing is off, those that could not be measured, and the names of the rest."""
+    """The effects that are on and why, why those of MISSED are off, those that could not be measured, and the names of the rest."""
     lines = [f"{name.replace('_', ' ')} on ({effect['why']})" for name, effect in effects.items() if effect["on"]]
     off = {name: effect for name, effect in effects.items() if not effect["on"]}
-    why = {name: name == "clothing" or effect["value"] is None for name, effect in off.items()}
+    why = {name: name in MISSED or effect["value"] is None for name, effect in off.items()}
     lines += [f"{name.replace('_', ' ')} off ({effect['why']})" for name, effect in off.items() if why[name]]
     quiet = [name.replace("_", " ") for name in off if not why[name]]
     return lines + ([f"off: {', '.join(quiet)}"] if quiet else [])

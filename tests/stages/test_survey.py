@@ -69,6 +69,8 @@ def test_reasons_name_what_is_on_and_what_could_not_be_measured():
     told = survey.reasons({name: survey.decide("auto", finding) for name, finding in FINDINGS.items()})
     assert holds(told[0], "called for on", "0.3 px", 0.1) and holds(told[1], "unknown off", "dark")
     assert len(told) == 3 and holds(told[2], "off", "quiet")
+    hidden = {"face": survey.decide("auto", compare(0.1, "of the frames", 0.5, ("seen", "hidden")))}
+    assert survey.reasons(hidden) == ["face off (hidden: 0.1 of the frames, limit 0.5)"]
 
 
 def test_confidence_grows_with_the_distance_from_the_threshold():
