@@ -148,8 +148,8 @@ class Avatar:
         `body_pose` [69], [23,3], [P,69] or [P,23,3] and `global_orient` [3] or [P,3] are rotation vectors in radians, `transl`
         [3] or [P,3] is in metres. `betas` [10] is one body shape for all poses instead of the avatar's own; the Gaussians follow
         the skin. `hands` [2,15,3] or [P,2,15,3] in radians turn the fingers of FINGER_NAMES; 0 is the hand at rest. `face` has
-        coefficients of the shapes of FACE_NAMES, by name, or as [52] or [P,52]; on SMPL-X expression1 to expression10 follow
-        these. Without them fingers and face are as in the clip.
+        coefficients of the shapes of FACE_NAMES, by name, or as [52] or [P,52], on SMPL-X also as [62] or [P,62], with
+        expression1 to expression10. Without them fingers and face are as in the clip.
         If `body_pose` is a tensor, results are tensors, differentiable in all arguments; else they are arrays. ValueError for
         other shapes and numbers that are not finite; StageError for `betas` of an unknown body, and for `hands` or a `face`
         that this avatar lacks.

@@ -107,7 +107,7 @@ class Kept:
         Path | None, Option(help="Keypoints to import: OpenPose, MMPose, AlphaPose, ViTPose .json; .csv, .trc, .npz.")
     ] = None
     face: Annotated[
-        Path | None, Option(help="A face capture of the clip to import (csv): a time and the 52 shapes.")
+        Path | None, Option(help="A face capture to import (csv) that begins with the video: a time, the 52 shapes.")
     ] = None
     body_model: BodyModel = None
     height: Annotated[

@@ -112,7 +112,9 @@ def apart(clip: Clip, people: list[Clip]) -> Clip:
 
 def strongest(findings: list[Finding]) -> Finding:
     """The finding of the largest value among those of several people; one that calls for a model goes first."""
-    return max(findings, key=lambda found: (found.called_for, -1.0 if found.value is None else found.value))
+    return max(
+        findings, key=lambda found: (found.called_for, -1.0 if found.value is None else found.value / found.threshold)
+    )
 
 
 def decide(setting: Effect, finding: Finding) -> dict:

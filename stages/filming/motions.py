@@ -114,7 +114,10 @@ def _of_face(motion: np.ndarray, face: Face | None) -> tuple[np.ndarray | None, 
     said = [f"{min(expressions, own - len(FACE_NAMES))} expressions"] if own > len(FACE_NAMES) and expressions else []
     if motion.shape[1] > own:
         said.append(f"{motion.shape[1] - own} expressions left out: this avatar lacks them")
-    return motion[:, :own], ["jaw and eyes", *said]
+    played = motion[:, :own]
+    if motion[:, : len(FACE_NAMES)].any():
+        said.insert(0, "jaw and eyes")
+    return played if played.any() else None, said
 
 
 def _read(

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from stages.gestures import FACE_NAMES
 
 JAW, LEFT_EYE, RIGHT_EYE = range(3)
+SLACK = np.radians(1.0)  # beyond what a shape does so far, nobody sees what is held
 TURNS = {
     "jawOpen": (JAW, 0, 22.0),
     "jawLeft": (JAW, 1, 5.0),
@@ -40,9 +41,10 @@ def turned(points: np.ndarray, joints: np.ndarray, weights: np.ndarray) -> np.nd
 
 def coefficients(turns: np.ndarray) -> tuple[np.ndarray, int]:
     """Coefficients [F,52], 0 to 1, of turns [F,3,3] rad of jaw, left and right eye, and how many of them were beyond."""
-    face, beyond = np.zeros((len(turns), len(FACE_NAMES))), int((turns[:, JAW, 0] < 0).sum())
+    face, beyond = np.zeros((len(turns), len(FACE_NAMES))), int((turns[:, JAW, 0] < -SLACK).sum())
     for name, (joint, axis, degrees) in TURNS.items():
-        share = turns[:, joint, axis] / np.radians(degrees)
-        beyond += int((share > 1).sum())
+        whole = np.radians(degrees)
+        share = turns[:, joint, axis] / whole
+        beyond += int((share > 1 + SLACK / abs(whole)).sum())
         face[:, FACE_NAMES.index(name)] = share.clip(0, 1)
     return face, beyond

@@ -173,3 +173,8 @@ def test_of_several_people_each_is_looked_at_alone_where_nobody_touches_them(tmp
     assert np.array_equal(one.mask(0), people[1].own_mask(0)) and not np.array_equal(one.mask(0), people[1].mask(0))
     low, high, none = (replace(unmeasured("", 1.0, ""), value=v, called_for=bool(v)) for v in (0.1, 0.4, None))
     assert survey.strongest([low, high]) is high and survey.strongest([none, low]) is low
+    hidden, small = (
+        compare(0.4, "of the frames", 0.5, ("seen", "hidden")),
+        compare(30.0, "px", 48.0, ("large", "small")),
+    )
+    assert survey.strongest([small, hidden]) is hidden, "the nearest to its limit, whatever the unit"

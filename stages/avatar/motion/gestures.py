@@ -42,7 +42,7 @@ def fingers_at(opened: np.ndarray, spread: np.ndarray) -> np.ndarray:
 
 
 def faces_at(shown: np.ndarray, times: np.ndarray, face: np.ndarray) -> np.ndarray:
-    """Coefficients [P,52] at moments `shown` [P] s, linear between those `face` [F,52] of rising `times` [F] s."""
+    """Coefficients [P,K] at moments `shown` [P] s, linear between those `face` [F,K] of rising `times` [F] s."""
     return np.stack([np.interp(shown, times, column) for column in face.T], 1)
 
 

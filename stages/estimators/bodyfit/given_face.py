@@ -15,7 +15,7 @@ from stages.formats.hands_face import read_hands_face
 from stages.formats.motions.face_csv import read_face
 from stages.records import BodyModel
 
-BEYOND = 0.5  # s: frames so far after the last row are counted
+BEYOND = 0.5  # s by which film and capture may differ unsaid
 
 
 def check_face(path: Path, model: BodyModel) -> None:
@@ -40,7 +40,10 @@ def with_face(job: Job, path: Path, fit: Fitted, times: np.ndarray) -> Fitted:
     """The fit with the face at `times` [F] s, where film and capture begin together; notes what of the file was taken."""
     take = read_face(path)
     job.note("; ".join([f"face: {path.name}", *take.notes]))
-    if late := int((times > take.times[-1] + BEYOND).sum()):
-        ends = f"{path.name} ends at {take.times[-1]:.1f} s, the film's frames at {times[-1]:.1f} s"
+    ends = f"{path.name} ends at {take.times[-1]:.1f} s, the film's frames at {times[-1]:.1f} s"
+    if times[-1] > take.times[-1] + BEYOND:
+        late = int((times > take.times[-1]).sum())
         job.warn(f"{ends}: in {late} of {len(times)} frames the face stays as it was last")
+    elif take.times[-1] > times[-1] + BEYOND:
+        job.note(f"{ends}: they should begin together")
     return replace(fit, poses=replace(fit.poses, face=faces_at(times, take.times, take.face)))

@@ -21,7 +21,7 @@ from stages.formats.images import evenly
 from stages.gestures import HandsFace
 
 HIGH = 48.0  # px: at 62 a smile, a blink and an open mouth are told apart
-MOVES = 3e-3  # m: what a shape moves so far is of the face
+MOVES = 2e-3  # m: what a shape moves so far is of the face; turned eyes move by 3
 AHEAD = 0.5  # cosine of the angle between where a face looks and the camera, at least
 LEAST = 5  # frames in which it does
 SURE = 0.5  # probability that a frame shows a face
@@ -32,10 +32,13 @@ UP = 0.05  # m along a head, whose picture gives the crop its up direction
 
 
 def detect(evidence: ClipEvidence) -> Finding:
-    """The median height of the face in frames in which it looks at the camera; if large but hidden, the share that shows it."""
+    """The median height of the face in frames in which it looks at the camera; if large but hidden, the share that shows it.
+
+    Nobody needs a face, so a network that has not been fetched stops no run.
+    """
     clip, rig = evidence.clip, read_hands_face(evidence.clip.body_model)
     if clip.body.face is not None:
-        return Finding(None, UNIT, HIGH, "given by `--face`", False, 0.0)
+        return Finding(None, UNIT, HIGH, "given by `--face`", True, 0.0)
     if rig is None or not len(rig.face_points):
         return unmeasured(UNIT, HIGH, "the body model has no face that moves")
     placed, heads = faces_of(clip, rig)

@@ -338,7 +338,7 @@ def filmed():
                 local = np.linalg.inv(views.Ks[i]) @ [(x + 0.5) * z, (y + 0.5) * z, z]
                 points.append(views.viewmats[i, :3, :3].T @ (local - views.viewmats[i, :3, 3]))
             body = SimpleNamespace(betas=np.zeros(10), global_orient=orient, body_pose=pose, transl=views.transl,
-                                   confidence=np.ones(frames))  # fmt: skip
+                                   confidence=np.ones(frames), face=None)  # fmt: skip
             clip = SimpleNamespace(
                 names=tuple(f"{i:06d}" for i in range(frames)), width=width, height=height, viewmats=viewmats, Ks=views.Ks,
                 points=np.array(points), body=body, body_model=stage.model,

@@ -23,6 +23,7 @@ from stages.synthetic.clip import FOCAL
 from stages.synthetic.room import make_room
 from tests.made.gestures import ARC, views
 from tests.made.hidden import BARE, HIDING, Face
+from tests.made.smplx import made_smplx
 from tests.made.synthetic.clip import Renderer
 
 SIZE = 320, 384
@@ -131,6 +132,22 @@ def test_a_face_is_not_learned_where_it_is_turned_away_or_the_body_has_none(monk
         assert aside.value is None and "fewer than 5" in aside.verdict
     bare = face.detect(head_on(1.3, model=replace(read_body_model(), name="another")))
     assert bare.value is None and "no face" in bare.verdict
+
+
+def test_a_face_of_jaw_and_eyes_alone_is_nearly_as_high(tmp_path):
+    arrays = made_smplx()
+    np.savez(tmp_path / "SMPLX.npz", **arrays | {"shapedirs": arrays["shapedirs"][..., :16]})
+    high = [np.ptp(face.faces_of(clip, read_hands_face(clip.body_model))[0][0, :, 1])
+            for clip in (head_on(1.3, model=model).clip for model in (None, read_body_model(tmp_path / "SMPLX.npz")))]  # fmt: skip
+    assert high[1] == pytest.approx(high[0], rel=0.25)
+
+
+def test_a_face_that_is_given_is_on_and_no_network_is_asked(monkeypatch):
+    monkeypatch.setattr(face, "FaceNetwork", None)
+    evidence = head_on(1.3)
+    body = replace(evidence.clip.body, face=np.zeros((8, 52)))
+    found = face.detect(replace(evidence, clip=replace(evidence.clip, body=body)))
+    assert found.called_for and "--face" in found.verdict
 
 
 @pytest.mark.parametrize(("sure", "on"), [(4, True), (3, False), (0, False)])

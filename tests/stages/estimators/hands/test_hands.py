@@ -1,0 +1,39 @@
+"""Hands in gloves, that hold something, or that something hides: they are read as well as bare ones, or seldom.
+
+Of drawn hands 60 px long; `python -m tests.benchmarks.hands --hidden` has the table.
+"""
+
+import numpy as np
+import pytest
+
+from stages.contract import StageError
+from stages.estimators import assets
+from stages.estimators.hands.network import HandNetwork
+from tests.benchmarks.hands import GLOVES, HIDDEN, looked
+
+HANDS = 24
+NONE, FEW = ("behind the back", "blurred"), {"holds a bottle": 0.15, "holds a phone": 0.65}
+
+
+@pytest.fixture(scope="module")
+def network():
+    try:
+        assets.fetch("hand_landmark_full.tflite")
+    except StageError as error:
+        pytest.skip(f"{error}: {' '.join(error.facts)}")
+    return HandNetwork()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("glove", GLOVES)
+def test_hands_in_gloves_are_read_as_bare_ones_are(network, glove):
+    bare, found = looked(60, HANDS, network), looked(60, HANDS, network, GLOVES[glove])
+    assert bare.read.mean() > 0.8 and found.read.mean() > 0.4
+    assert np.median(found.off) < 1.2 * np.median(bare.off) and found.off.mean() < 1.3 * found.expected.mean()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", [*NONE, *FEW])
+def test_hands_that_something_hides_are_not_read_or_seldom(network, how):
+    found = looked(60, HANDS, network, hide=HIDDEN[how])
+    assert found.read.mean() <= FEW.get(how, 0)
