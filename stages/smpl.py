@@ -199,7 +199,8 @@ def look_at_hands(sfm: Path, clip: Inputs, poses: BodyPoses, held: bool) -> tupl
     if (rig := read_hands_face(clip.model)) is None:
         return poses, None
     pictures = [sfm / "images" / f"{name}.png" for name in clip.cameras.names]
-    hands, palms = hands_of(rig, clip.model, poses, clip.cameras, clip.times, lambda i: read_image(pictures[i]))
+    looks = (lambda i: read_image(pictures[i])), clip.masks.__getitem__
+    hands, palms = hands_of(rig, clip.model, poses, clip.cameras, clip.times, *looks)
     if palms.read.any() and not held:
         poses = arms_to_palms(clip.model, poses, clip.cameras, clip.times, palms)
     return poses, hands

@@ -25,7 +25,7 @@ from stages.avatar.body.smpl import Body, vertex_normals
 from stages.avatar.kernels.mesh import fill
 from stages.estimators.hands.bending import bend
 from stages.estimators.hands.network import POINTS, HandNetwork
-from stages.estimators.hands.seeing import SIDE, SURE, WINDOW
+from stages.estimators.hands.seeing import SHOWN, SIDE, SURE, WINDOW, share_shown
 from stages.estimators.person.crops import Roi
 from tests.made.hands import MODEL, RIG, hand, waving
 
@@ -105,8 +105,8 @@ def view(rng: np.random.Generator) -> np.ndarray:
 
 def drawn(
     angles: torch.Tensor, turn: np.ndarray, size: float, rng: np.random.Generator, colour: Colour = SKIN
-) -> tuple[np.ndarray, Roi]:
-    """A picture of a hand `size` px long, and the crop in which it is looked for."""
+) -> tuple[np.ndarray, np.ndarray, Roi]:
+    """A picture of a hand `size` px long, its mask, and the crop in which it is looked for."""
     rest, joints = Body(MODEL).rest(torch.zeros(10))
     faces = MODEL.faces[(rest[:, 0] < joints[19, 0] + 0.02).numpy()[MODEL.faces].all(1)].astype(np.int64)
     turns = torch.stack([torch.zeros(15, 3), hand().rotvecs(angles)])
@@ -121,7 +121,12 @@ def drawn(
     picture[face >= 0] = np.array(colour) * (lit * shares[face >= 0]).sum(1, keepdims=True)
     wrist = (joints[21] - joints[23]).numpy() @ turn.T + [0, 0, AWAY]
     dx, dy = -wrist[:2] / wrist[2]
-    return picture.clip(0, 255).astype(np.uint8), Roi(side / 2, side / 2, WINDOW * size, float(np.arctan2(dx, -dy)))
+    mask = 255 * (face >= 0).astype(np.uint8)
+    return (
+        picture.clip(0, 255).astype(np.uint8),
+        mask,
+        Roi(side / 2, side / 2, WINDOW * size, float(np.arctan2(dx, -dy))),
+    )
 
 
 def looked(
@@ -132,9 +137,11 @@ def looked(
     angles, turns = poses(count, rng), [view(rng) for _ in range(count)]
     world, xy, sure = np.zeros((1, count, POINTS, 3)), np.zeros((1, count, POINTS, 2)), np.zeros((1, count), bool)
     for i, turn in enumerate(turns):
-        picture, roi = drawn(angles[i], turn, size, rng, colour)
+        picture, mask, roi = drawn(angles[i], turn, size, rng, colour)
         seen = network.read(hide(picture, roi), roi, False)
-        world[0, i], xy[0, i], sure[0, i] = seen.world, seen.xy, seen.presence >= SURE and seen.side >= SIDE
+        world[0, i], xy[0, i], left = seen.world, seen.xy, hide(mask[..., None].repeat(3, 2), roi)[..., 0]
+        shown = share_shown(seen.xy.clip(0, len(mask) - 1), size, left) >= SHOWN
+        sure[0, i] = seen.presence >= SURE and seen.side >= SIDE and shown
     bent = bend(hand(), world, xy, np.full((1, count), size / LONG), sure, 5.0 * np.arange(count))
     read, truth = bent.fits[0], hand().points(angles)
     off, still = (

@@ -32,16 +32,17 @@ def hands_of(
     cameras: Cameras,
     times: np.ndarray,
     image: Callable[[int], np.ndarray],
+    mask: Callable[[int], np.ndarray],
 ) -> tuple[HandPoses, SeenPalms]:
     """The fingers of a fitted body, whose `rig` is of its size, at `times` [F] s, and where its palms are seen.
 
-    `image` gives a picture, uint8 [H,W,3]. A hand that fewer than ENOUGH frames show keeps the body's fingers at rest. Raises
-    StageError if a hand is large enough to be looked at and the network has not been fetched.
+    `image` gives a picture, uint8 [H,W,3], `mask` the person's in it, uint8 [H,W]. A hand that fewer than ENOUGH frames show keeps
+    the body's fingers at rest. Raises StageError if a hand is large enough to be looked at and the network has not been fetched.
     """
     size, count = (cameras.width, cameras.height), len(poses)
     where = places(model, poses, cameras)
     found = seen_hands(image, where, looked_for(where, size) & (poses.confidence > 0)[:, None])
-    read = sure_hands(found, where, size)
+    read = sure_hands(found, where, size, mask)
     read &= read.sum(0) >= ENOUGH
     hand = right_hand(rig, model, poses.betas)
     turns, shape, error = np.zeros((count, 2, 15, 3)), np.zeros((2, 15, 3)), np.zeros((count, 2))

@@ -15,6 +15,7 @@ POSES = BodyPoses(
 )
 CAMERAS = Cameras(NAMES, np.tile(np.eye(4), (FRAMES, 1, 1)), np.tile(np.eye(3), (FRAMES, 1, 1)), 400, 300)
 TIMES = np.arange(FRAMES) / 15
+WHOLE = np.full((300, 400), 255, np.uint8)
 
 
 def looks(monkeypatch, left, right, length=60.0):
@@ -41,7 +42,9 @@ def seen_with(x, world):
 
 
 def found():
-    return clip.hands_of(RIG, MODEL, POSES, CAMERAS, TIMES, lambda i: np.zeros((300, 400, 3), np.uint8))[0]
+    return clip.hands_of(
+        RIG, MODEL, POSES, CAMERAS, TIMES, lambda i: np.zeros((300, 400, 3), np.uint8), lambda i: WHOLE
+    )[0]
 
 
 def test_a_left_hand_is_the_mirror_image_of_a_right_one(monkeypatch):

@@ -20,8 +20,11 @@ WHERE = Places(
 BOTH = [seen(100, 200), seen(300, 200)]
 
 
-def believed(left, right, where=WHERE):
-    return sure_hands([[left, right]], where, SIZE)[0].tolist()
+WHOLE = np.full((300, 400), 255, np.uint8)
+
+
+def believed(left, right, where=WHERE, mask=WHOLE):
+    return sure_hands([[left, right]], where, SIZE, lambda i: mask)[0].tolist()
 
 
 @pytest.mark.parametrize(
@@ -38,6 +41,15 @@ def believed(left, right, where=WHERE):
 )
 def test_only_a_hand_of_that_side_at_that_wrist_is_believed(left, want):
     assert believed(left, BOTH[1]) == [want, True]
+
+
+def test_a_hand_is_not_believed_whose_fingers_something_hides():
+    """The hand goes up from its wrist at y = 200 to 140: of its 21 points, those the mask shows, and 6 px more, count."""
+    for top, left in ((150, True), (162, True), (168, False), (200, False)):
+        mask = WHOLE.copy()
+        mask[:top, :200] = 0
+        assert believed(*BOTH, mask=mask) == [left, True]
+    assert believed(*BOTH, mask=0 * WHOLE) == [False, False]
 
 
 def test_a_hand_out_of_the_picture_is_not_believed():
