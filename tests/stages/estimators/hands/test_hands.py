@@ -24,10 +24,15 @@ def network():
     return HandNetwork()
 
 
+@pytest.fixture(scope="module")
+def bare(network):
+    return looked(60, HANDS, network)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("glove", GLOVES)
-def test_hands_in_gloves_are_read_as_bare_ones_are(network, glove):
-    bare, found = looked(60, HANDS, network), looked(60, HANDS, network, GLOVES[glove])
+def test_hands_in_gloves_are_read_as_bare_ones_are(network, bare, glove):
+    found = looked(60, HANDS, network, GLOVES[glove])
     assert bare.read.mean() > 0.8 and found.read.mean() > 0.4
     assert np.median(found.off) < 1.2 * np.median(bare.off) and found.off.mean() < 1.3 * found.expected.mean()
 
