@@ -31,9 +31,7 @@ LOADING = 1.0  # s of a stage that do not depend on sizes
 FINISHING, SETTLING = 100, 200  # steps that take as long as what follows the last one, and settling in it, at most
 KEPT, ASKED = 400, 5  # rows in the file, and the last ones of a stage that a guess is made from
 SHORT = 2.0  # s; shorter stages tell nothing
-SMALL = (
-    0.04  # of the work of `default`: nor does less, as in tests; `ci` of the synthetic clip has 0.06, `preview` more
-)
+SMALL = 0.04  # of `default`'s work: nor does less, as in tests; `ci` of the synthetic clip has 0.06
 LEAST = 250  # steps of a training that takes as long as the shortest one, with what it times and the least after it
 WORTH = 10.0  # s; of a shorter run it is not found out how busy the machine is
 OFF = {0: 2.0, 1: 1.6, 2: 1.4}

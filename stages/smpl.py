@@ -52,11 +52,13 @@ def check(
     from stages.estimators.bodyfit.given_face import check_face
     from stages.estimators.bodyfit.inputs import check_given
     from stages.formats.body_model import read_body_model
+    from stages.formats.hands_face import read_hands_face
 
     check_given(video, smpl_fit, body_model, landmarks)
+    model = read_body_model(body_model)
     if face is not None:
-        check_face(face, read_body_model(body_model))
-    if body_model is None or read_body_model(body_model).fingers is not None:
+        check_face(face, model)
+    if read_hands_face(model) is not None:
         assets.path("hand_landmark_full.tflite")
 
 

@@ -10,6 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation, Slerp
 
 from stages.avatar.cameras.pinhole import camera_centers, look_at, pinhole
+from stages.avatar.motion.between import between
 from stages.avatar.rasterize import Camera
 from stages.contract import StageError
 from stages.filming.cast import Actor
@@ -92,8 +93,7 @@ def _to_and_fro(viewmats: np.ndarray, times: np.ndarray, count: int, fps: float)
     wanted = np.where(wanted > at[-1], 2 * at[-1] - wanted, wanted)
     turns = Slerp(at, Rotation.from_matrix(path[:, :3, :3]))(wanted).as_matrix()
     centers = camera_centers(path)
-    eyes = np.stack([np.interp(wanted, at, axis) for axis in centers.T], 1)
-    return _views(turns, eyes)
+    return _views(turns, between(wanted, at, centers))
 
 
 def _views(turns: np.ndarray, eyes: np.ndarray) -> np.ndarray:

@@ -15,8 +15,8 @@ from stages.avatar.body.smpl import Body
 from stages.avatar.drawing.avatar import Baked, PosedAvatar, load_avatar
 from stages.avatar.drawing.rig import rig_of
 from stages.avatar.effects.shadow import Casters
+from stages.avatar.motion.between import between
 from stages.avatar.motion.formulas import GESTURED, MOTIONS
-from stages.avatar.motion.gestures import faces_at
 from stages.avatar.motion.moves import by_formula
 from stages.avatar.motion.placing import Placed, Soles, put
 from stages.avatar.motion.takes import SECONDS
@@ -205,7 +205,7 @@ def _with_face(placed: Placed, person: Person, record: records.Avatar, fps: floa
         raise StageError(f"{person.avatar} has no face that moves", "leave out the face, or train it again")
     take = read_face(path)
     shown = np.arange(len(placed.transl)) / fps * person.speed
-    face = faces_at(shown, take.times, take.face)
+    face = between(shown, take.times, take.face)
     told = f"{len(take.times)} rows, {take.times[-1]:.1f} s"
     return placed._replace(face=face), [f"{path.name}  {'; '.join([told, *take.notes])}"]
 

@@ -122,6 +122,11 @@ class FittedBody(NamedTuple):
         return Poses(self.global_orient, self.body_pose, self.transl, self.expressions)
 
     @property
+    def learns_face(self) -> bool:
+        """Whether training finds how the face moves: it does, and nobody says how."""
+        return self.face is not None and self.expressions is None
+
+    @property
     def own_bones(self) -> int:
         """How many bones the clothes have."""
         return 0 if self.clothing is None else len(self.clothing)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from stages.contract import StageError
-from stages.estimators import assets
 from stages.formats.video import decode
 from tests.made import tiny as tiny_clip
+from tests.made.networks import fetched
 
 
 @pytest.fixture(scope="session")
@@ -15,11 +14,7 @@ def blazepose():
     """A BlazePose with its networks, fetched if need be; skipped, with the reason printed, without a network."""
     from stages.estimators.person.blazepose import BlazePose
 
-    try:
-        for name in ("pose_detection.tflite", "pose_landmark_full.tflite"):
-            assets.fetch(name)
-    except StageError as error:
-        pytest.skip(f"{error}: {' '.join(error.facts)}")
+    fetched("pose_detection.tflite", "pose_landmark_full.tflite")
     return BlazePose()
 
 

@@ -11,14 +11,14 @@ from stages import evaluate
 from stages.avatar.drawing.cast import Cast
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.model.scene import load_scene
-from stages.contract import Job, StageError
-from stages.estimators import assets
+from stages.contract import Job
 from stages.filming.clip_cast import posed_as
 from stages.formats.clip import load_clip
 from stages.formats.images import read_image
 from stages.formats.poses import read_poses, write_poses
 from stages.formats.splats import read_avatar, read_scene
 from tests.made import tiny as tiny_clip
+from tests.made.networks import fetched
 from tests.made.tiny import HEIGHT, STAGES, WIDTH
 
 HELD = 2  # the held-out frame that shows the person
@@ -26,10 +26,7 @@ HELD = 2  # the held-out frame that shows the person
 
 @pytest.fixture(scope="module")
 def lpips():
-    try:
-        assets.fetch("lpips_alex.npz")
-    except StageError as error:
-        pytest.skip(f"{error}: {' '.join(error.facts)}")
+    fetched("lpips_alex.npz")
 
 
 def run(clip, out, **params):

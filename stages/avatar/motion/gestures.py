@@ -41,11 +41,6 @@ def fingers_at(opened: np.ndarray, spread: np.ndarray) -> np.ndarray:
     return hand.reshape(len(opened), 15, 3)
 
 
-def faces_at(shown: np.ndarray, times: np.ndarray, face: np.ndarray) -> np.ndarray:
-    """Coefficients [P,K] at moments `shown` [P] s, linear between those `face` [F,K] of rising `times` [F] s."""
-    return np.stack([np.interp(shown, times, column) for column in face.T], 1)
-
-
 def fist() -> np.ndarray:
     """Both hands closed, [2,15,3] rad."""
     hand = fingers_at(np.zeros((1, 5)), np.zeros(1))[0]

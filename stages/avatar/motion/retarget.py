@@ -30,6 +30,7 @@ from stages.avatar.body.joints import (
     WRISTS,
 )
 from stages.avatar.body.smpl_rest import PARENTS, smpl_rest
+from stages.avatar.motion.between import between
 from stages.avatar.motion.hands import from_bones
 from stages.gestures import Fingers
 from stages.records import JOINT_NAMES
@@ -181,12 +182,9 @@ def resample_at(motion: Performance, times: np.ndarray, wanted: float) -> Perfor
         rows = [Slerp(times, Rotation.from_matrix(one))(new).as_matrix() for one in np.moveaxis(rotations, 1, 0)]
         return np.stack(rows, 1)
 
-    def between(values: np.ndarray) -> np.ndarray:
-        return np.stack([np.interp(new, times, axis) for axis in values.T], 1)
-
-    face = None if motion.face is None else between(motion.face)
+    hips, face = between(new, times, motion.hips), None if motion.face is None else between(new, times, motion.face)
     hands = None if motion.hands is None else turned(motion.hands.reshape(-1, 30, 3, 3)).reshape(-1, 2, 15, 3, 3)
-    return Performance(turned(motion.rotations), between(motion.hips), motion.leg, hands, face)
+    return Performance(turned(motion.rotations), hips, motion.leg, hands, face)
 
 
 def turn_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from stages import records
+from stages.avatar.motion.between import between
 from stages.avatar.motion.formulas import MOTIONS
 from stages.avatar.motion.placing import Soles, face_ahead, filmed, on_floor, seen_in_order
 
@@ -72,6 +73,6 @@ def even(take: records.Take) -> records.Take:
         ]
         return np.stack([turn.as_quat(scalar_first=True) for turn in turns], 1)
 
-    pelvis = np.stack([np.interp(times, take.times, axis) for axis in take.pelvis.T], 1)
+    pelvis = between(times, take.times, take.pelvis)
     fingers = None if take.fingers is None else slerped(take.fingers)
     return records.Take(take.name, times, slerped(take.rotations), pelvis, fingers=fingers)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.avatar.motion.gestures import faces_at
+from stages.avatar.motion.between import between
 from stages.contract import Job, StageError
 from stages.estimators.bodyfit.reporting import Fitted
 from stages.formats.hands_face import read_hands_face
@@ -46,4 +46,4 @@ def with_face(job: Job, path: Path, fit: Fitted, times: np.ndarray) -> Fitted:
         job.warn(f"{ends}: in {late} of {len(times)} frames the face stays as it was last")
     elif take.times[-1] > times[-1] + BEYOND:
         job.note(f"{ends}: they should begin together")
-    return replace(fit, poses=replace(fit.poses, face=faces_at(times, take.times, take.face)))
+    return replace(fit, poses=replace(fit.poses, face=between(times, take.times, take.face)))

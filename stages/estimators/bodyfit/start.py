@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from stages.avatar.motion.between import between
 from stages.estimators.bodyfit.evidence import LandmarkEvidence
 from stages.records import JOINT_NAMES
 
@@ -64,8 +65,7 @@ def fill_limbs(pose: np.ndarray, evidence: LandmarkEvidence, times: np.ndarray) 
         if len(shown):
             known = unwrap_rotations(pose[shown][:, turning]).reshape(len(shown), -1)
             within = times[shown[0] : shown[-1] + 1]
-            columns = [np.interp(within, times[shown], column) for column in known.T]
-            filled[shown[0] : shown[-1] + 1, turning] = np.stack(columns, -1).reshape(-1, 2, 3)
+            filled[shown[0] : shown[-1] + 1, turning] = between(within, times[shown], known).reshape(-1, 2, 3)
     return filled
 
 
@@ -101,8 +101,7 @@ def fill_poses(
     Straight lines between neighbours, of rotation vectors that take the short way; held at both ends.
     """
     turns = unwrap_rotations(np.concatenate([orient, pose], 1).reshape(len(known), -1, 3)).reshape(len(known), -1)
-    columns = [np.interp(times, known, column) for column in np.concatenate([turns, place], 1).T]
-    filled = np.stack(columns, -1)
+    filled = between(times, known, np.concatenate([turns, place], 1))
     return filled[:, :3], filled[:, -3:], filled[:, 3:-3]
 
 

@@ -128,7 +128,7 @@ class _Start:
         options = Options(
             extent=extent,
             refine_pose=on.get("pose_refinement", True),
-            learn_face=on.get("face", False) and all(body.expressions is None for body in bodies),
+            learn_face=any(body.learns_face for body in bodies),
             refine_camera=on.get("camera_refinement", False),
             exposure=on.get("exposure", False),
             antialias=on.get("antialias", False),

@@ -56,8 +56,7 @@ class PersonLearner:
         self.body, self.human, self.guard, self.number = one.body, one.human, guard, number
         self.name = f"person {number}"
         self.outline, self.small = one.outline, one.outline and one.outline.half()
-        learned = None if self.body.expressions is not None else self.body.face
-        shapes = 0 if learned is None else len(learned.shapes)
+        shapes = len(self.body.face.shapes) if self.body.face is not None and self.body.learns_face else 0
         corrections = BodyCorrections(len(self.body.transl), self.body.own_bones, shapes)
         self.corrections = corrections.to(self.body.vertices)
         self.canonical_bones = self.body.canonical_bones()

@@ -17,7 +17,6 @@ from stages.commands import report
 from stages.commands.report import clip as clip_parts
 from stages.commands.report import results
 from stages.contract import Job, StageError, StageRecord
-from stages.estimators import assets
 from stages.formats.facts import Dataset, Metrics
 from stages.formats.images import write_image
 from tests.made import tiny as tiny_clip
@@ -25,6 +24,7 @@ from tests.made.browser import FOUND, LOADED, probe
 from tests.made.command import ROOT
 from tests.made.devtools import Page
 from tests.made.meshes import coarse
+from tests.made.networks import fetched
 from tests.made.said import holds
 
 PLACE = (
@@ -50,10 +50,7 @@ def show(folder, rows, over=False, known=None, **facts):
 
 def make(clip, folder):
     """Run the stages after train, briefly; the rows of all stages. The folders lie as links do in a pipeline's folder."""
-    try:
-        assets.fetch("lpips_alex.npz")
-    except StageError as error:
-        pytest.skip(f"{error}: {' '.join(error.facts)}")
+    fetched("lpips_alex.npz")
     done = {name: folder / name for name in ("export", "render", "evaluate")}
     for place in done.values():
         place.mkdir()

@@ -10,8 +10,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.cameras.pinhole import look_at, pinhole, project
-from stages.contract import StageError
-from stages.estimators import assets
 from stages.estimators.detectors import face
 from stages.estimators.detectors.evidence import FRAMES, ClipEvidence
 from stages.estimators.person.crops import Roi
@@ -23,6 +21,7 @@ from stages.synthetic.clip import FOCAL
 from stages.synthetic.room import make_room
 from tests.made.gestures import ARC, views
 from tests.made.hidden import BARE, HIDING, Face
+from tests.made.networks import fetched
 from tests.made.smplx import made_smplx
 from tests.made.synthetic.clip import Renderer
 
@@ -73,13 +72,6 @@ def head_on(away: float, turned: float = 0.0, frames: int = 8, model=None, pictu
     eye = np.array([0.0, 0.3, away])
     viewmats = np.tile(look_at(eye, np.array([0.0, 0.3, 0.0]), np.array([0.0, 1.0, 0.0])), (frames, 1, 1))
     return pictured(viewmats, pinhole(800, 480, 864), orient, pictures, model=model)
-
-
-def fetched(name="face_landmark.tflite"):
-    try:
-        assets.fetch(name)
-    except StageError as error:
-        pytest.skip(f"{error}: {' '.join(error.facts)}")
 
 
 def faces(clip: Clip) -> list[Face]:
@@ -191,7 +183,7 @@ def test_the_crop_is_the_faces_and_turned_as_the_head_is_in_the_picture(degrees,
 @pytest.mark.slow
 @pytest.mark.parametrize("what", BARE)
 def test_a_drawn_head_is_seen_also_with_glasses_softly_and_in_little_light(drawn, what):
-    fetched()
+    fetched("face_landmark.tflite")
     found = face.detect(covered(drawn, BARE[what]))
     assert found.called_for and found.value == pytest.approx(62, rel=0.1)
 
@@ -199,7 +191,7 @@ def test_a_drawn_head_is_seen_also_with_glasses_softly_and_in_little_light(drawn
 @pytest.mark.slow
 @pytest.mark.parametrize("what", HIDING)
 def test_what_hides_a_face_switches_it_off(drawn, what):
-    fetched()
+    fetched("face_landmark.tflite")
     found = face.detect(covered(drawn, HIDING[what]))
     assert not found.called_for and found.verdict == "hidden or blurred" and found.value < 0.5
 
@@ -207,7 +199,7 @@ def test_what_hides_a_face_switches_it_off(drawn, what):
 @pytest.mark.slow
 def test_the_kitchen_man_whose_mask_hides_his_face_has_none_that_is_learned(kitchen):
     """His pictures moved so that his face is where that of the fitted head is."""
-    fetched()
+    fetched("face_landmark.tflite")
     evidence = head_on(2.2, frames=len(KITCHEN))
     xy = faces(evidence.clip)[0].xy
     there = np.vstack([Roi.fitting(xy, 0.0).matrix(), [0, 0, 1]])

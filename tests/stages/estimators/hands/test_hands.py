@@ -6,10 +6,9 @@ Of drawn hands 60 px long; `python -m tests.benchmarks.hands --hidden` has the t
 import numpy as np
 import pytest
 
-from stages.contract import StageError
-from stages.estimators import assets
 from stages.estimators.hands.network import HandNetwork
 from tests.benchmarks.hands import GLOVES, HIDDEN, looked
+from tests.made.networks import fetched
 
 HANDS = 24
 NONE, FEW = ("holds a phone", "holds a bottle", "behind the back", "blurred"), {"fingers behind something": 0.6}
@@ -17,10 +16,7 @@ NONE, FEW = ("holds a phone", "holds a bottle", "behind the back", "blurred"), {
 
 @pytest.fixture(scope="module")
 def network():
-    try:
-        assets.fetch("hand_landmark_full.tflite")
-    except StageError as error:
-        pytest.skip(f"{error}: {' '.join(error.facts)}")
+    fetched("hand_landmark_full.tflite")
     return HandNetwork()
 
 

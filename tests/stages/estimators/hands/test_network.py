@@ -1,13 +1,11 @@
 """The hand network on the kitchen clip, and crops that fit."""
 
 import numpy as np
-import pytest
 
-from stages.contract import StageError
-from stages.estimators import assets
 from stages.estimators.hands.network import HandNetwork, around
 from stages.estimators.person.crops import Roi
 from tests.made.hands import seen
+from tests.made.networks import fetched
 
 TIPS = [4, 8, 12, 16, 20]
 
@@ -25,10 +23,7 @@ def test_a_crop_fits_a_hand_whose_fingers_point_anywhere():
 
 def test_the_kitchen_mans_five_fingers_are_seen(kitchen):
     """His raised open right hand from a crop beside it; in the mirror it is a left one, with its points mirrored."""
-    try:
-        assets.fetch("hand_landmark_full.tflite")
-    except StageError as error:
-        pytest.skip(f"{error}: {' '.join(error.facts)}")
+    fetched("hand_landmark_full.tflite")
     network, image = HandNetwork(), kitchen[50]
     hand = network.read(image, Roi(156, 300, 122, 0.0), False)
     apart = np.linalg.norm(np.diff(hand.xy[TIPS], axis=0), axis=1)

@@ -3,20 +3,16 @@
 import numpy as np
 import pytest
 
-from stages.contract import StageError
-from stages.estimators import assets
 from stages.estimators.person.crops import Roi
 from stages.estimators.person.face_network import MARGINS, FaceNetwork
+from tests.made.networks import fetched
 
 FACE = Roi(100, 90, 80, 0.2)
 
 
 @pytest.fixture
 def network():
-    try:
-        assets.fetch("face_landmark.tflite")
-    except StageError as error:
-        pytest.skip(f"{error}: {' '.join(error.facts)}")
+    fetched("face_landmark.tflite")
     return FaceNetwork()
 
 
